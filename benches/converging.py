@@ -17,7 +17,7 @@ import warnings
 
 import numpy as np
 
-from stepcore.engine.norm import apart, rms
+from stepcore.engine.norm import distances, rms
 from stepcore.experiment import Motion, Study
 from stepcore.experiment.truth import _Start
 
@@ -40,7 +40,7 @@ def shares(file: str, starts: int, cap: float, seconds: float) -> list[float]:
         end, scored = time.monotonic() + seconds / starts, truth.scored[k : k + 1]
 
         def far(a, b, scored=scored) -> float:
-            return float(rms(apart(a, b, study.engine.matter), scored)[0])
+            return float(rms(distances(a, b, study.engine.matter), scored)[0])
 
         ladders = {}
         for way in (way for way in ways if way.name in METHODS):

@@ -16,7 +16,7 @@ import numpy as np
 
 from stepcore import lesson
 from stepcore.experiment import Change, Motion, Study
-from stepcore.experiment.price import OPERATION, STEP
+from stepcore.experiment.price import OPERATION, STEP_TIME
 
 SCENES = (
     *("gymnasium:half_cheetah", "gymnasium:hopper", "gymnasium:walker2d", "gymnasium:ant"),
@@ -51,7 +51,7 @@ def main() -> None:
     work, took = (np.array([row[k] for row in rows]) for k in (2, 3))
     terms = np.stack([np.ones(len(work)), work], axis=1) / took[:, None]
     step, operation = np.linalg.lstsq(terms, np.ones(len(work)), rcond=None)[0]
-    off = np.log((STEP + OPERATION * work) / took)
+    off = np.log((STEP_TIME + OPERATION * work) / took)
     off -= np.median(off)
     order = np.argsort(-np.abs(off))
     print(f"{'scene':28} {'method':34} {'operations':>10} {'µs a step':>10} {'said/took':>10}")
@@ -59,7 +59,7 @@ def main() -> None:
         name, change, operations, time = rows[k]
         print(f"{name:28} {change.words:34} {operations:10.0f} {time:10.2f} {np.exp(off[k]):10.2f}")
     print(f"of {len(rows)} methods; said/took is relative to their median")
-    print(f"fitted: STEP {step:.3g} µs, OPERATION {operation:.3g} µs; in use {STEP}, {OPERATION}")
+    print(f"fitted: {step:.3g} µs a step, {operation:.3g} µs; in use {STEP_TIME}, {OPERATION}")
     print(f"standard deviation of said/took: {100 * np.std(off):.0f} %")
 
 

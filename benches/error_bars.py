@@ -19,7 +19,7 @@ import record
 from trade_cases import CASES
 
 import stepcore as sc
-from stepcore.engine.norm import Matter, Tracks, apart
+from stepcore.engine.norm import Matter, Tracks, distances
 
 PERIOD, FINER = 0.02, 2048
 
@@ -72,7 +72,7 @@ def measured(model: sc.Model, horizon: float) -> list[dict[str, Any]]:
         seen, cost, until, bar = poses(model, horizon, error_bar=True, **way)
         good = np.arange(1, len(bar) + 1) * PERIOD < until
         truth, true = (
-            apart(one, pair[0], Matter.of(model))[0, good].max(initial=0.0)
+            distances(one, pair[0], Matter.of(model))[0, good].max(initial=0.0)
             for one in (pair[1], seen)
         )
         steps = "own" if "accuracy" not in way else "accuracy 1 mm"

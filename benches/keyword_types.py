@@ -12,7 +12,7 @@ from pathlib import Path
 
 from stepcore import Scene
 from stepcore.scene import elements
-from stepcore.scene.element import Row, table
+from stepcore.scene.element import Row, field_rows
 
 STUB = Path(__file__).parent.parent / "python" / "stepcore" / "scene" / "fields.pyi"
 KINDS = (
@@ -39,7 +39,7 @@ Numbers = float | Vector
 
 def given(row: Row) -> str:
     """The type of what is given for a field; for a reference a name, or the element."""
-    return row.type.given or " | ".join(("str", *row.type.refers, "None"))
+    return row.type.annotation or " | ".join(("str", *row.type.refers, "None"))
 
 
 def text() -> str:
@@ -47,7 +47,7 @@ def text() -> str:
     parts = [HEAD]
     for kind in KINDS:
         named = inspect.signature(getattr(Scene, f"add_{kind.lower()}")).parameters
-        rows = table(getattr(elements, kind)).values()
+        rows = field_rows(getattr(elements, kind)).values()
         lines = [f"    {row.name}: {given(row)}" for row in rows if row.name not in named]
         parts.append("\n".join([f"class {kind}Fields(TypedDict, total=False):", *lines, ""]))
     return "\n".join(parts)

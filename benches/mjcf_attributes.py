@@ -19,7 +19,7 @@ from attributes.runs import SCENES, case_of, measured
 
 from stepcore.mjcf.schema import ROOT, Spec
 from stepcore.scene import elements
-from stepcore.scene.element import Element, table
+from stepcore.scene.element import Element, field_rows
 
 PAGE = Path(__file__).parent.parent / "docs" / "mjcf_attributes.md"
 # What the schema's text calls the elements of the tree, and those that stand outside of it.
@@ -206,7 +206,7 @@ def value_of(path: str, attribute: str) -> str:
 def field_of(path: str, attribute: str) -> tuple[str, str]:
     """The unit and the default of an attribute that is a field of an element class."""
     kind = CLASSES.get(path, SECTIONS.get(path.partition("/")[0]))
-    row = None if kind is None else table(kind).get(attribute)
+    row = None if kind is None else field_rows(kind).get(attribute)
     spec = spec_of(path)
     if row is None or row.type.attribute is None or spec is None or attribute not in spec.attrs:
         return "", ""

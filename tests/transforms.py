@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 import stepcore as sc
-from stepcore.scene.element import table
+from stepcore.scene.element import field_rows
 
 NQ = {"free": 7, "ball": 4, "slide": 1, "hinge": 1}
 NV = {"free": 6, "ball": 3, "slide": 1, "hinge": 1}
@@ -413,7 +413,7 @@ def doubled(scene):
         (scene.pairs, twin.pairs),
     ):
         for element in theirs:
-            for field in table(type(element)):
+            for field in field_rows(type(element)):
                 if getattr(element, field) is twin.bodies[0]:
                     setattr(element, field, world)
             mine.append(element)

@@ -18,7 +18,7 @@ from typing import Any
 
 from stepcore import vectors
 
-vectors.choose(__path__)
+vectors.select_module(__path__)
 
 # The module of each public name, from the list that type checkers read. A module is imported on the
 # first use of one of its names, so that a script that steps a scene does not wait for the

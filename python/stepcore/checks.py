@@ -20,9 +20,9 @@ from stepcore import escapes
 Check = Callable[[Any, str, Any], Any]
 
 # Below this length a direction or a quaternion has no meaning (MuJoCo's threshold).
-TINY = 1e-14
+TINY_LENGTH = 1e-14
 # Largest length of an error text, for any file or argument [characters].
-LONGEST = 1000
+LONGEST_TEXT = 1000
 # Largest length of a name, and of a word or path, in an error [characters].
 LONGEST_NAME, LONGEST_WORD = 80, 300
 
@@ -32,7 +32,7 @@ def shown(value: object, width: int = 80) -> str:
     return cut(" ".join(repr(value).split()), width)
 
 
-def cut(text: str, width: int = LONGEST) -> str:
+def cut(text: str, width: int = LONGEST_TEXT) -> str:
     """Return the text, escaped for one line and cut to `width` characters."""
     text = escapes.escaped(text[: width + 1])
     return text if len(text) <= width else text[: width - 1] + "…"
@@ -43,7 +43,7 @@ _WORD = re.compile(rf"\S{{{LONGEST_WORD + 1},}}")
 
 
 def brief(text: str) -> str:
-    """Return the text of an error without the middle of long names, at most `LONGEST` characters.
+    """Return an error text without the middle of long names, at most `LONGEST_TEXT` characters.
 
     Names come first in an error, so names are shortened before the text is cut. Every error about a
     file or an element passes through this function.
@@ -68,9 +68,9 @@ def quoted(name: str) -> str:
     return f'"{cut(name, 80)}"'
 
 
-def nearest(name: str, known: Iterable[str], listed: int = 10) -> str:
-    """Return '; nearest: "damping"', or the first `listed` of the names if none is near."""
-    names = [k for k in known if k]
+def nearest(name: str, choices: Iterable[str], limit: int = 10) -> str:
+    """Return '; nearest: "damping"', or the first `limit` of the names if none is near."""
+    names = [k for k in choices if k]
     # Case is ignored, so that "rk4" is near "RK4".
     folded = {k.lower(): k for k in reversed(names)}
     # Cut, because the time of the comparison grows with the square of the length.
@@ -78,10 +78,10 @@ def nearest(name: str, known: Iterable[str], listed: int = 10) -> str:
     close = [folded[k] for k in matches]
     if close:
         return "; nearest: " + ", ".join(quoted(c) for c in close)
-    if not listed:
+    if not limit:
         return ""
-    more = f" and {len(names) - listed} more" if len(names) > listed else ""
-    return "; known: " + (", ".join(quoted(n) for n in names[:listed]) or "none") + more
+    more = f" and {len(names) - limit} more" if len(names) > limit else ""
+    return "; known: " + (", ".join(quoted(n) for n in names[:limit]) or "none") + more
 
 
 def one_line(error: BaseException) -> str:
@@ -100,8 +100,8 @@ class KnownNames:
     def __setattr__(self, name: str, value: object) -> None:
         kind = type(self)
         if not name.startswith("_") and name not in self._attributes and not hasattr(kind, name):
-            known = [*self._attributes, *(n for n in dir(kind) if not n.startswith("_"))]
-            raise AttributeError(f"a {kind.__name__} has no {quoted(name)}{nearest(name, known)}")
+            names = [*self._attributes, *(n for n in dir(kind) if not n.startswith("_"))]
+            raise AttributeError(f"a {kind.__name__} has no {quoted(name)}{nearest(name, names)}")
         if isinstance(getattr(kind, name, None), cached_property):
             raise AttributeError(f"{name} of a {kind.__name__} is read-only")
         object.__setattr__(self, name, value)
@@ -140,7 +140,7 @@ def number(value: object) -> float | None:
     return result if math.isfinite(result) else None
 
 
-def listed(value: object) -> list[Any] | None:
+def as_list(value: object) -> list[Any] | None:
     """Return the entries of a sequence or an array, or None for other values."""
     if isinstance(value, (str, bytes, dict, set)) or value is None:
         return None
@@ -191,8 +191,8 @@ def steps(horizon: float, dt: float, runs: float, words: str, most: float = MOST
     """Raise ValueError if runs over the horizon [s] need more than `most` steps in all."""
     total = horizon / dt * runs
     if not total <= most:
-        said = f"horizon = {horizon:g} s with dt = {dt:g} s: {words} would take {total:.2g} steps"
-        raise ValueError(f"{said}; must be at most {most:g}".replace("e+0", "e").replace("e+", "e"))
+        text = f"horizon = {horizon:g} s with dt = {dt:g} s: {words} would take {total:.2g} steps"
+        raise ValueError(f"{text}; must be at most {most:g}".replace("e+0", "e").replace("e+", "e"))
 
 
 def flag_of(name: str, value: object) -> bool:
@@ -210,9 +210,9 @@ def word(name: str, value: object) -> str:
     return value
 
 
-def several(name: str, value: object) -> list[Any]:
+def nonempty(name: str, value: object) -> list[Any]:
     """Return `value` as a non-empty list; raise ValueError otherwise, also for a string."""
-    entries = listed(value)
+    entries = as_list(value)
     if not entries:
         raise ValueError(f"{name} = {shown(value)}: must be a list of at least one value")
     return entries
@@ -247,15 +247,15 @@ def checked(convert: Callable[[Any], Any], limit: str) -> Check:
 
 def _flag(value: object) -> bool | None:
     # numpy's bool is no Python bool; the name of its type identifies it without numpy.
-    known = isinstance(value, bool) or type(value).__name__ in ("bool_", "bool")
-    return bool(value) if known else None
+    is_flag = isinstance(value, bool) or type(value).__name__ in ("bool_", "bool")
+    return bool(value) if is_flag else None
 
 
 # True or False; 0 and 1 are refused.
 flag = checked(_flag, "True or False")
 text = checked(lambda value: value if isinstance(value, str) else None, "a string")
 # Finite numbers, any number of them.
-numbers = checked(lambda value: all_numbers(listed(value)), "finite numbers")
+numbers = checked(lambda value: all_numbers(as_list(value)), "finite numbers")
 
 
 def real(low: float = -math.inf, above: float = -math.inf, high: float = math.inf) -> Check:
@@ -294,7 +294,7 @@ def one_of(*allowed: object) -> Check:
                 return candidate
         near = ""
         if isinstance(value, str):
-            near = nearest(value, [a for a in allowed if isinstance(a, str)], listed=0)
+            near = nearest(value, [a for a in allowed if isinstance(a, str)], limit=0)
         raise refuse(owner, field, value, f"one of {', '.join(map(shown, allowed))}{near}")
 
     return check
@@ -310,7 +310,7 @@ def vector(count: int, *, low: float = -math.inf, fill: tuple[float, ...] = ()) 
     limit += f" >= {low:g}" * (low > -math.inf)
 
     def convert(value: object) -> tuple[float, ...] | None:
-        entries = listed(value)
+        entries = as_list(value)
         result = all_numbers([value] if entries is None and fill else entries)
         if result is None or not least <= len(result) <= count or min(result, default=low) < low:
             return None
@@ -326,7 +326,7 @@ def unit(count: int) -> Check:
     def check(owner: Any, field: str, value: object) -> tuple[float, ...]:
         entries: tuple[float, ...] = check_numbers(owner, field, value)
         norm = math.hypot(*entries)
-        if not TINY < norm < math.inf:
+        if not TINY_LENGTH < norm < math.inf:
             raise refuse(owner, field, value, f"{count} finite numbers, not all zero")
         # A unit vector stays bit-identical, so that writing and reading a scene is exact.
         if abs(norm - 1.0) <= 1e-15:
@@ -346,7 +346,7 @@ def pair(fits: Callable[[float, float], bool], limit: str) -> Check:
     """Return a check for two finite numbers that fit."""
 
     def convert(value: object) -> tuple[float, ...] | None:
-        entries = all_numbers(listed(value)) or ()
+        entries = all_numbers(as_list(value)) or ()
         return entries if len(entries) == 2 and fits(*entries) else None
 
     return checked(convert, limit)
@@ -366,32 +366,32 @@ solreffriction = pair(
 )
 
 
-def table(columns: int | None, *, whole: bool = False) -> Check:
+def table(columns: int | None, *, indices: bool = False) -> Check:
     """Return a check for an array of finite numbers, shape (n, columns); the result is read-only.
 
     columns: None allows any width. A flat sequence is cut into rows.
-    whole: True requires indices, whole numbers >= 0.
+    indices: True requires indices, whole numbers >= 0.
     """
-    what = "indices (whole numbers >= 0)" if whole else "finite numbers"
-    limit = f"{what}, shape (n, {columns})" if columns else f"{what}, shape (rows, columns)"
+    entries = "indices (whole numbers >= 0)" if indices else "finite numbers"
+    limit = f"{entries}, shape (n, {columns})" if columns else f"{entries}, shape (rows, columns)"
 
     def check(owner: Any, field: str, value: object) -> Any:
         import numpy as np
 
         try:
-            given = np.asarray(value)
-            array = np.array(given if given.dtype.kind in "iuf" else math.nan, dtype=float)
+            raw = np.asarray(value)
+            array = np.array(raw if raw.dtype.kind in "iuf" else math.nan, dtype=float)
         except (TypeError, ValueError):
             array = np.array(math.nan)
         if columns and array.ndim == 1 and array.size % columns == 0:
             array = array.reshape(-1, columns)
         fits = array.ndim == 2 and columns in (None, array.shape[1]) and np.isfinite(array).all()
         # A float represents whole numbers exactly up to 53 bits.
-        if fits and whole:
+        if fits and indices:
             fits = ((array == np.floor(array)) & (array >= 0) & (array < 2**53)).all()
         if not fits:
             raise refuse(owner, field, value, limit)
-        array = array.astype(np.uintp) if whole else array
+        array = array.astype(np.uintp) if indices else array
         array.flags.writeable = False
         return array
 
@@ -423,7 +423,7 @@ def element(*kinds: str) -> Check:
 
 
 def _inertia(value: object) -> tuple[float, ...] | None:
-    result = all_numbers(listed(value)) or ()
+    result = all_numbers(as_list(value)) or ()
     fits = len(result) in (3, 6) and min(result[:3]) >= 0
     return result + (0.0,) * (6 - len(result)) if fits else None
 

@@ -44,10 +44,8 @@ SECONDS = {
     "tune": 60.0,
     "identify": 60.0,
 }
-# The time in which an answer is completed from the runs made, after the deadline or Ctrl-C [s]; and
-# after a deadline its largest share of the time, so that `seconds` holds within 20 % even though
-# work ends only at its next check.
-CLOSING, CLOSING_SHARE = 3.0, 0.15
+# The time in which an answer is completed from the runs made, after the deadline or Ctrl-C [s].
+CLOSING = 3.0
 # The shares of the time at which a search ends, and at which the test of its choice ends.
 SEARCHED, PROVEN = 0.7, 0.9
 
@@ -86,7 +84,8 @@ class Deadline:
         self._end: float = self.begun + self.seconds
         self._stop: threading.Event = threading.Event() if outer is None else outer._stop
         # The time at which the last answer must be complete, of this or an outer measurement.
-        self._last = self._end + min(CLOSING, CLOSING_SHARE * self.seconds)
+        # With 15 %, `seconds` holds within 20 %, even though work ends only at its next check.
+        self._last = self._end + min(CLOSING, 0.15 * self.seconds)
         self._closing = False
         self._news = self._said = ""
         self._told = -math.inf
@@ -138,8 +137,8 @@ class Deadline:
         if self.outer is not None:
             self.outer.announce()
         elif self._news and listener is not None:
-            (first, again), now = pace, clock()
-            if now >= max(self.begun + first, self._told + again):
+            (first, interval), now = pace, clock()
+            if now >= max(self.begun + first, self._told + interval):
                 self._said, self._news, self._told = self._news, "", now
                 listener(f"so far: {self._said}")
 
@@ -165,9 +164,9 @@ class Deadline:
         try:
             yield
         except OutOfTime:
-            said = words if isinstance(words, str) else words()
-            if said not in self.left_out:
-                self.left_out.append(said)
+            text = words if isinstance(words, str) else words()
+            if text not in self.left_out:
+                self.left_out.append(text)
         finally:
             self._end = before
 
@@ -187,8 +186,8 @@ class Deadline:
     def longer(self) -> int:
         """A longer time to propose [s]."""
         # Work that cannot end between two checks may have exceeded its time.
-        given = self.seconds if self.spent < 2 * self.seconds < math.inf else self.spent
-        return 2 * math.ceil(max(1.0, given))
+        base = self.seconds if self.spent < 2 * self.seconds < math.inf else self.spent
+        return 2 * math.ceil(max(1.0, base))
 
     @property
     def sentence(self) -> str:
@@ -210,8 +209,8 @@ class Deadline:
     def nothing(self, error: OutOfTime) -> OutOfTime:
         """Return the error of a measurement without any answer."""
         done = ", ".join(getattr(error, "__notes__", ()))
-        what = f" ({done})" if done else ""
-        nothing = OutOfTime(f"{self._ended}, too early for any answer{what}; {self._goes_on}")
+        detail = f" ({done})" if done else ""
+        nothing = OutOfTime(f"{self._ended}, too early for any answer{detail}; {self._goes_on}")
         nothing.interrupted = self.interrupted
         return nothing
 

@@ -33,8 +33,6 @@ R = TypeVar("R")
 # finish together, and little is repeated when a worker is lost. (An executor does not report its
 # number of workers.)
 MAX_CHUNKS = 512
-# Interval between checks of the deadline while another executor works [s].
-PATIENCE = 0.1
 
 _thread = threading.local()
 
@@ -158,7 +156,8 @@ class _Chunks(Generic[T, R]):
         while True:
             deadline.check()
             with contextlib.suppress(Empty):
-                return self.finished.get(timeout=PATIENCE)
+                # The deadline is checked every 0.1 s while another executor works.
+                return self.finished.get(timeout=0.1)
 
     def _submit(self, indices: range) -> None:
         chunk = [self.points[i] for i in indices]

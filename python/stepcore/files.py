@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from stepcore import checks
 
 # Largest file [bytes]. No model or replay is larger, and a larger file could fill the memory.
-LARGEST = 2**28
+LARGEST_FILE = 2**28
 
 # How a pointer of Git LFS begins.
 LFS = b"version https://git-lfs.github.com/spec/"
@@ -27,7 +27,7 @@ LFS = b"version https://git-lfs.github.com/spec/"
 outputs: set[tuple[int, int]] = set()
 
 
-def path(name: str, value: object) -> str:
+def as_path(name: str, value: object) -> str:
     """Return `value` as the path of a file; raise ValueError if it is no path."""
     if isinstance(value, (str, bytes, os.PathLike)):
         try:
@@ -39,12 +39,12 @@ def path(name: str, value: object) -> str:
     raise ValueError(f"{name} = {checks.shown(value)}: must be a path")
 
 
-def read(path: str | os.PathLike[str], expected: str) -> bytes:
-    """Return the bytes of a regular file of at most `LARGEST` bytes; see `opened`.
+def contents(path: str | os.PathLike[str], expected: str) -> bytes:
+    """Return the bytes of a regular file of at most `LARGEST_FILE` bytes; see `open_regular`.
 
     Raises ValueError for a Git LFS pointer, whose file was not fetched.
     """
-    with opened(path, expected) as (file, size):
+    with open_regular(path, expected) as (file, size):
         # At most the reported size: system files that block until an event report 0.
         data = file.read(size)
     if data.startswith(LFS):
@@ -57,19 +57,19 @@ def read(path: str | os.PathLike[str], expected: str) -> bytes:
 
 
 @contextmanager
-def opened(
+def open_regular(
     path: str | os.PathLike[str], expected: str, largest: int | None = None
 ) -> Iterator[tuple[BinaryIO, int]]:
     """Open a regular file, and give its size [bytes].
 
     expected: the expected kind of file in errors, such as "an MJCF file". largest: the largest size
-        [bytes]; None: `LARGEST`.
+        [bytes]; None: `LARGEST_FILE`.
 
     Raises FileNotFoundError, IsADirectoryError, and ValueError for a device, a pipe or a socket
     (none is opened), for a file that is too large and for a file that cannot be read. The text is
     one line that names the file.
     """
-    name, most = os.fsdecode(path), LARGEST if largest is None else largest
+    name, most = os.fsdecode(path), LARGEST_FILE if largest is None else largest
     called = checks.cut(checks.without_middle(name))
     if "\0" in name:
         raise ValueError(f"{checks.shown(name)}: cannot be read: no file has a NUL in its name")
@@ -91,10 +91,10 @@ def arrays(path: str | os.PathLike[str], expected: str) -> dict[str, NDArray[Any
     """Return the arrays of an .npz file by name, or the array of an .npy file under "".
 
     Raises ValueError for a file that is neither or is damaged, for arrays of Python objects and for
-    arrays that are together larger than `LARGEST`, which a small file can claim to hold; also the
-    errors of `read`.
+    arrays that are together larger than `LARGEST_FILE`, which a small file can claim to hold; also
+    the errors of `contents`.
     """
-    data = read(path, expected)
+    data = contents(path, expected)
     try:
         if not zipfile.is_zipfile(io.BytesIO(data)):
             return {"": _array(data)}
@@ -102,8 +102,8 @@ def arrays(path: str | os.PathLike[str], expected: str) -> dict[str, NDArray[Any
             members = archive.infolist()
             if {m.compress_type for m in members} - {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}:
                 raise ValueError("its arrays are compressed as numpy does not")
-            if sum(member.file_size for member in members) > LARGEST:
-                raise ValueError(f"has arrays of more than {LARGEST // 2**20} MiB")
+            if sum(member.file_size for member in members) > LARGEST_FILE:
+                raise ValueError(f"has arrays of more than {LARGEST_FILE // 2**20} MiB")
             return {m.filename.removesuffix(".npy"): _array(archive.read(m)) for m in members}
     except (ValueError, TypeError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
         name = checks.cut(checks.without_middle(os.fsdecode(path)))

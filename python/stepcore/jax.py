@@ -40,33 +40,33 @@ def rollout(
     values = dict(parameters or {})
     paths = tuple(values)
 
-    def shapes(given: tuple[Any, ...]) -> Any:
-        n, steps = given[2].shape[:2]
-        like = given[0].dtype
+    def shapes(inputs: tuple[Any, ...]) -> Any:
+        n, steps = inputs[2].shape[:2]
+        like = inputs[0].dtype
         sizes = batch.model.nq, batch.model.nv
         return tuple(jax.ShapeDtypeStruct((n, steps, size), like) for size in sizes)
 
-    def states(*given: Any) -> Any:
-        tape = Tape(batch, paths, *(np.asarray(array, float) for array in given))
-        return tuple(np.asarray(x, given[0].dtype) for x in tape.rollout[:2])
+    def states(*inputs: Any) -> Any:
+        tape = Tape(batch, paths, *(np.asarray(array, float) for array in inputs))
+        return tuple(np.asarray(x, inputs[0].dtype) for x in tape.rollout[:2])
 
-    def gradients(given: tuple[Any, ...], weights: tuple[Any, ...]) -> Any:
-        tape = Tape(batch, paths, *(np.asarray(array, float) for array in given))
-        found = tape.gradient(*(np.asarray(weight, float) for weight in weights))
-        return tuple(np.asarray(x, array.dtype) for x, array in zip(found, given, strict=True))
+    def gradients(inputs: tuple[Any, ...], weights: tuple[Any, ...]) -> Any:
+        tape = Tape(batch, paths, *(np.asarray(array, float) for array in inputs))
+        slopes = tape.gradient(*(np.asarray(weight, float) for weight in weights))
+        return tuple(np.asarray(x, array.dtype) for x, array in zip(slopes, inputs, strict=True))
 
     @jax.custom_vjp
-    def run(*given: Any) -> Any:
-        return jax.pure_callback(states, shapes(given), *given)
+    def run(*inputs: Any) -> Any:
+        return jax.pure_callback(states, shapes(inputs), *inputs)
 
-    def forward(*given: Any) -> Any:
-        return run(*given), given
+    def forward(*inputs: Any) -> Any:
+        return run(*inputs), inputs
 
-    def backward(given: tuple[Any, ...], weights: tuple[Any, ...]) -> Any:
-        like = tuple(jax.ShapeDtypeStruct(array.shape, array.dtype) for array in given)
-        return jax.pure_callback(gradients, like, given, weights)
+    def backward(inputs: tuple[Any, ...], weights: tuple[Any, ...]) -> Any:
+        like = tuple(jax.ShapeDtypeStruct(array.shape, array.dtype) for array in inputs)
+        return jax.pure_callback(gradients, like, inputs, weights)
 
     run.defvjp(forward, backward)
-    made = [jax.numpy.asarray(array) for array in (qpos, qvel, ctrl, *values.values())]
-    result: tuple[Any, Any] = run(*made)
+    arrays = [jax.numpy.asarray(array) for array in (qpos, qvel, ctrl, *values.values())]
+    result: tuple[Any, Any] = run(*arrays)
     return result

@@ -70,10 +70,10 @@ def keyword(name: str, default: object, annotation: object) -> inspect.Parameter
 
 def spell_out(function: F, keywords: Iterable[inspect.Parameter]) -> F:
     """Replace ``**fields`` by `keywords` in the signature of a function."""
-    own = inspect.signature(function)
-    given = [p for p in own.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
-    named = [p.replace(annotation=_plain(p.annotation)) for p in (*given, *keywords)]
-    signature = inspect.Signature(named, return_annotation=_plain(own.return_annotation))
+    before = inspect.signature(function)
+    kept = [p for p in before.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
+    named = [p.replace(annotation=_plain(p.annotation)) for p in (*kept, *keywords)]
+    signature = inspect.Signature(named, return_annotation=_plain(before.return_annotation))
     function.__signature__ = signature  # type: ignore[attr-defined]
     return function
 
@@ -88,23 +88,23 @@ def takes_settings(function: F) -> F:
     return spell_out(function, [keyword(name, default, annotation(hint)) for name, hint in fields])
 
 
-def refuse_unknown(call: Callable[..., Any], given: Mapping[str, Any]) -> None:
+def refuse_unknown(call: Callable[..., Any], arguments: Mapping[str, Any]) -> None:
     """Raise UnknownArgument, with the nearest names, for an argument that `call` lacks."""
-    takes = inspect.signature(call).parameters if given else {}
-    for word in given:
+    takes = inspect.signature(call).parameters if arguments else {}
+    for word in arguments:
         if word not in takes:
             ours = MUJOCO.get(word, "")
             near = f'; here it is "{ours}"' if ours in takes else checks.nearest(word, takes)
             raise UnknownArgument(f"{call.__name__}() has no argument {checks.quoted(word)}{near}")
 
 
-def refuse_unknown_settings(call: Callable[..., Any], given: SettingsFields) -> None:
+def refuse_unknown_settings(call: Callable[..., Any], fields: SettingsFields) -> None:
     """Do the same for a call whose ``**fields`` are fields of `Settings`.
 
     The signature is read only for an error: reading it takes as long as creating a Sim.
     """
-    if not given.keys() <= SettingsFields.__annotations__.keys():
-        refuse_unknown(call, given)
+    if not fields.keys() <= SettingsFields.__annotations__.keys():
+        refuse_unknown(call, fields)
 
 
 def annotation(hint: Any) -> Any:

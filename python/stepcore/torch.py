@@ -29,19 +29,19 @@ def _function() -> Any:
 
     class Rollout(torch.autograd.Function):
         @staticmethod
-        def forward(ctx: Any, batch: Any, paths: Any, *given: Any) -> Any:
-            tape = Tape(batch, paths, *(tensor.detach().cpu().numpy() for tensor in given))
-            ctx.tape, ctx.like = tape, [(tensor.dtype, tensor.device) for tensor in given]
+        def forward(ctx: Any, batch: Any, paths: Any, *tensors: Any) -> Any:
+            tape = Tape(batch, paths, *(tensor.detach().cpu().numpy() for tensor in tensors))
+            ctx.tape, ctx.like = tape, [(tensor.dtype, tensor.device) for tensor in tensors]
             states = (torch.from_numpy(np.ascontiguousarray(x)) for x in tape.rollout[:2])
-            return tuple(state.to(given[0].dtype).to(given[0].device) for state in states)
+            return tuple(state.to(tensors[0].dtype).to(tensors[0].device) for state in states)
 
         @staticmethod
         @torch.autograd.function.once_differentiable
         def backward(ctx: Any, *weights: Any) -> Any:
-            found = ctx.tape.gradient(*(weight.detach().cpu().numpy() for weight in weights))
+            slopes = ctx.tape.gradient(*(weight.detach().cpu().numpy() for weight in weights))
             gradients = [
                 torch.from_numpy(np.ascontiguousarray(x)).to(dtype).to(device)
-                for x, (dtype, device) in zip(found, ctx.like, strict=True)
+                for x, (dtype, device) in zip(slopes, ctx.like, strict=True)
             ]
             return (None, None, *gradients)
 

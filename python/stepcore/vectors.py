@@ -17,7 +17,7 @@ VARIABLE = "STEPCORE_VECTORS"
 BASELINE = "baseline"
 
 
-def choose(path: list[str]) -> None:
+def select_module(path: list[str]) -> None:
     """Change `path`, so that `import stepcore._core` loads the widest module.
 
     path: the package's `__path__`.
@@ -33,8 +33,8 @@ def choose(path: list[str]) -> None:
         )
     name = os.environ.get(VARIABLE) or next(iter(known_levels))
     if name not in known_levels:
-        known = "', '".join(known_levels)
-        limit = f"one of '{known}', which this installation has and this processor can run"
+        names = "', '".join(known_levels)
+        limit = f"one of '{names}', which this installation has and this processor can run"
         raise ImportError(f"{VARIABLE} = '{name}': must be {limit}")
     if name != BASELINE:
         path.insert(0, known_levels[name])
@@ -44,8 +44,8 @@ def levels() -> dict[str, str]:
     """Return name and folder of each installed module that this processor can run, widest first."""
     package = os.path.dirname(__file__)
     wider = {name: os.path.join(package, f"_{name}") for name in _RUNS}
-    wider = {name: own for name, own in wider.items() if os.path.isdir(own)}
-    there = {name: own for name, own in wider.items() if _RUNS[name]()}
+    wider = {name: folder for name, folder in wider.items() if os.path.isdir(folder)}
+    there = {name: folder for name, folder in wider.items() if _RUNS[name]()}
     modules = (os.path.join(package, f"_core{suffix}") for suffix in EXTENSION_SUFFIXES)
     # Without any module the import error names the missing one.
     if not wider or any(map(os.path.exists, modules)):

@@ -14,7 +14,7 @@ import photograph
 import stepcore as sc
 from stepcore import gymnasium, jax, torch
 from stepcore.gymnasium import adapters
-from stepcore.viewing.frames import distance
+from stepcore.viewing.frames import rms_distance
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -64,7 +64,7 @@ def test_the_figure_of_the_readme_and_its_text_are_of_one_run():
     starts, converged, shipped = photograph.worst()
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     (apart,) = re.findall(r"after one second: (\d+) mm apart", readme)
-    assert int(apart) == round(1e3 * distance(shipped._replayed(), converged._replayed())[-1])
+    assert int(apart) == round(1e3 * rms_distance(shipped._replayed(), converged._replayed())[-1])
     in_texts = re.findall(r"in the\s+worst of (\w+) starts(?: \(start|\. `python)", readme)
     assert in_texts == [str(starts)] * 2
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import stepcore as sc
-from stepcore.engine.actuator import actuators, loads
+from stepcore.engine.actuator import actuators, hold_load
 
 ARM = """<mujoco><option timestep="0.001"/><worldbody>
   <body><joint name="shoulder" axis="0 1 0" actuatorfrcrange="-9 6"/>
@@ -117,7 +117,7 @@ def test_the_inertia_is_that_of_a_push():
 def test_the_load_is_the_force_that_holds_still():
     sim = sc.Sim(MODEL)
     sim.forward()
-    load = loads(sim)
+    load = hold_load(sim)
     assert load[EACH["offset"].dof] == pytest.approx(0.3 * 9.81)
     sim.qfrc_applied[:] = load
     sim.ctrl[EACH["offset"].index] = EACH["offset"].holding(0.0)

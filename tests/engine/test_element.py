@@ -135,8 +135,8 @@ def test_elements_are_named_together_by_what_they_are():
     assert Elements([*springs, loss]).summary == "5 springs and 1 friction loss"
     assert control.name == "control of servo `drive`"
     assert Element.of(model, "limit", 5).name == "limit of joint 5 of body 6"
-    assert Elements([INERTIAL]).several
-    assert not Elements([Element.of(model, "joint", 2)]).several
+    assert Elements([INERTIAL]).is_plural
+    assert not Elements([Element.of(model, "joint", 2)]).is_plural
     assert sorted([loss, springs[1], springs[0]]) == [loss, springs[0], springs[1]]
 
 

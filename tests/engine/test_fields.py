@@ -11,7 +11,7 @@ from mypy import api
 
 import stepcore as sc
 from stepcore.scene import elements
-from stepcore.scene.element import table
+from stepcore.scene.element import field_rows
 from stepcore.signatures import SettingsFields
 
 ROOT = Path(__file__).parents[2]
@@ -24,7 +24,7 @@ def test_the_types_of_keywords_are_those_of_the_tables():
 
 @pytest.mark.parametrize("kind", keyword_types.KINDS)
 def test_the_arguments_of_add_are_fields_of_the_element(kind):
-    known = {*table(getattr(elements, kind)), "fromto", "joints", "file"}
+    known = {*field_rows(getattr(elements, kind)), "fromto", "joints", "file"}
     named = inspect.signature(getattr(sc.Scene, f"add_{kind.lower()}")).parameters
     assert {*named} - {"self", "fields"} <= known
 

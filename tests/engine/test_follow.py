@@ -47,7 +47,7 @@ def test_the_bits_are_those_of_single_steps(hopper, n, threads, settings):
     run = follow(model, starts, 60, 4, ctrl=ctrl, hold=3, record=RECORD, threads=threads)
     assert run.times.tolist() == pytest.approx(np.arange(16) * 4 * model.settings.dt)
     assert run.failures == {}
-    assert run.made.tolist() == run.inner.tolist() == [60] * n
+    assert run.steps_made.tolist() == run.inner.tolist() == [60] * n
     for k in (0, n // 2, n - 1):
         for name, values in stepped(model, starts[k], 60, 4, ctrl[k], 3).items():
             assert run[name][k].tobytes() == values.tobytes(), name
@@ -76,7 +76,7 @@ def test_steps_within_an_accuracy_are_those_of_a_sim(hopper):
     for k, start in enumerate(starts):
         expected = stepped(model, start, 12, 4, ctrl[0], names=("qpos", "xpos"))
         assert run["xpos"][k].tobytes() == expected["xpos"].tobytes()
-    assert (run.inner > run.made).all()
+    assert (run.inner > run.steps_made).all()
 
 
 @pytest.mark.parametrize("n", [1, 9])
@@ -92,8 +92,8 @@ def test_the_failure_of_one_start_does_not_end_the_others(n):
     starts[0].put(sim)
     with pytest.raises(sc.SimulationError) as alone:
         sim.step(4000)
-    assert error.step == run.made[0] == alone.value.step < 4000
-    assert run.made[1:].tolist() == [4000] * (n - 1)
+    assert error.step == run.steps_made[0] == alone.value.step < 4000
+    assert run.steps_made[1:].tolist() == [4000] * (n - 1)
     last = error.step // 10
     assert np.isfinite(run["qpos"][0, : last + 1]).all()
     assert np.isnan(run["qpos"][0, last + 1 :]).all()
@@ -108,8 +108,8 @@ def test_a_run_ends_beyond_its_bound(n, record):
     run = follow(model, [slow, fast, *[slow] * (n - 2)], 100, 10, bound=1.0, record=record)
     assert list(run.failures) == [1]
     assert "beyond the bound of 1" in str(run.failures[1])
-    assert run.made.tolist() == [100, run.failures[1].step, *[100] * (n - 2)]
-    ended = run.made[1] // 10
+    assert run.steps_made.tolist() == [100, run.failures[1].step, *[100] * (n - 2)]
+    ended = run.steps_made[1] // 10
     far = np.linalg.norm(run["xpos"][1] - run["xpos"][1, 0], axis=-1).max(axis=-1)
     assert (far[:ended] <= 1.0).all()
     assert far[ended] > 1.0
@@ -123,7 +123,7 @@ def test_a_run_ends_beyond_its_bound_at_its_last_sample():
     model = ball(solver="pgs").compile()
     fast = Start(model.qpos0, np.array([100.0, 0, 0, 0, 0, 0]))
     run = follow(model, [fast], 10, 10, bound=1.0)
-    assert (list(run.failures), run.made.tolist()) == ([0], [10])
+    assert (list(run.failures), run.steps_made.tolist()) == ([0], [10])
     assert np.isfinite(run["xpos"]).all()
 
 
@@ -258,7 +258,7 @@ def test_steps_within_an_accuracy_end_at_an_allowance(recorded):
     most = whole.inner[0] // 2
     cut = follow(model, starts, 30, record=recorded, most=most)
     assert [*cut.failures] == [0] and "more evaluations" in str(cut.failures[0])
-    made, name = cut.made[0], recorded[0]
+    made, name = cut.steps_made[0], recorded[0]
     assert 0 < made < 30 and most < cut.inner[0] < whole.inner[0]
     if name == "qpos":
         # Where it ends a stretch is tried whole.

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 import stepcore as sc
 from stepcore.engine.parameters import ModelVariation, own_value
 from stepcore.scene.records import Variation
-from stepcore.scene.value_paths import changed
+from stepcore.scene.value_paths import changed_scene
 
 ARM = """<mujoco><option gravity="0 0 -9.81"/><worldbody>
 <geom name="floor" type="plane" size="5 5 1" friction="0.8"/>
@@ -206,7 +206,7 @@ def test_only_what_a_value_touches_is_made_anew_and_the_scene_is_the_same(path):
     variation = Variation(base.scene, [path], base.masses())
     for u in (0.0, 0.4, 0.8, 0.4):
         values = {path: VARIED[path](np.array([u]))[0].tolist()}
-        assert variation.data(values) == changed(base.scene, values, base.masses()).to_dict()
+        assert variation.data(values) == changed_scene(base.scene, values, base.masses()).to_dict()
 
 
 def test_what_is_read_is_that_of_the_world():
@@ -401,7 +401,7 @@ def test_every_number_of_every_actuator_reaches_its_world(name):
     for path, values in numbers:
         variation = Variation(base.scene, [path], base.masses())
         for value in values:
-            scene = changed(base.scene, {path: value}, base.masses())
+            scene = changed_scene(base.scene, {path: value}, base.masses())
             assert variation.data({path: value}) == scene.to_dict(), path
         batch = sc.Batch(base, 2)
         batch.param[path] = np.array(values)

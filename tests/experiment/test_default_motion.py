@@ -67,10 +67,10 @@ def ways(schedule):
 
 def watched(model, schedule, start=0):
     """Positions and forces at every step, and the deepest overlap."""
-    dt = model.settings.dt
-    rows, hold = schedule.rows([start], dt)
+    rows, hold = schedule.rows([start], dt := model.settings.dt)
+    driven, steps = schedule.driven_model(model), schedule.periods * schedule.steps(dt)
     ran = follow(
-        *(schedule.on(model), [schedule.starts[start]], schedule.periods * schedule.steps(dt)),
+        *(driven, [schedule.starts[start]], steps),
         ctrl=rows,
         hold=hold,
         record=("qpos", "actuator_force", "overlap"),

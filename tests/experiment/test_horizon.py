@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import stepcore as sc
-from stepcore.experiment.horizon import COST, SHARE, Horizon, horizon_of
+from stepcore.experiment.horizon import COST_SHARE, MOST_COST, Horizon, horizon_of
 from stepcore.experiment.motion import Motion
 
 SCENE = """<mujoco><option timestep="0.002" {option}/><worldbody>
@@ -96,7 +96,7 @@ def test_the_cost_bounds_it():
     found = horizon_of(model, Motion(), cost=3e5)
     assert 1 < found.length < 10 and found.words.startswith("still moving at")
     assert horizon_of(model, Motion(), cost=0.0) == Horizon(1.0)
-    assert SHARE * 3e10 / 8 < COST
+    assert COST_SHARE * 3e10 / 8 < MOST_COST
 
 
 def test_check_trade_and_converge_say_how_long_they_went_on():

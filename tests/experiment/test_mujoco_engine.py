@@ -9,7 +9,7 @@ from menagerie import PANDA, needed
 
 import stepcore as sc
 from stepcore import lesson
-from stepcore.engine.norm import apart, rms
+from stepcore.engine.norm import distances, rms
 from stepcore.experiment.change import Change
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.mujoco_engine import MuJoCo
@@ -48,7 +48,7 @@ def test_both_engines_converge_to_the_same_motion(source):
     assert theirs.engine.matter.moving == ours.engine.matter.moving
     np.testing.assert_allclose(theirs.engine.matter.gyration, ours.engine.matter.gyration, 1e-12)
     a, b = (study.truth(1e-3) for study in (ours, theirs))
-    far = rms(apart(a.tracks, b.tracks, ours.engine.matter), a.scored & b.scored)
+    far = rms(distances(a.tracks, b.tracks, ours.engine.matter), a.scored & b.scored)
     assert (far <= a.unsure + b.unsure).all()
 
 

@@ -73,7 +73,7 @@ def study_of(quantity, tmp_path=None, engine="stepcore", **fields):
 
 def loop(study, start, reading):
     """The readings at the samples of a motion that is stepped by hand."""
-    model = study.schedule.on(study.model)
+    model = study.schedule.driven_model(study.model)
     sim = sc.Sim(model)
     study.schedule.starts[start].put(sim)
     rows, hold = study.schedule.rows([start], model.settings.dt)

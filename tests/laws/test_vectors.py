@@ -91,10 +91,10 @@ def test_a_module_for_other_processors_is_refused_unread(tmp_path, monkeypatch):
     monkeypatch.delenv(vectors.VARIABLE, raising=False)
     monkeypatch.setitem(vectors._RUNS, "avx2", lambda: False)
     with pytest.raises(ImportError, match="built for processors with AVX2"):
-        vectors.choose([str(tmp_path)])
+        vectors.select_module([str(tmp_path)])
     monkeypatch.setitem(vectors._RUNS, "avx2", lambda: True)
     path = [str(tmp_path)]
-    vectors.choose(path)
+    vectors.select_module(path)
     assert path[0] == str(tmp_path / "_avx2")
 
 

@@ -15,7 +15,7 @@ from stepcore import lesson
 from stepcore.cli import main
 from stepcore.engine.features import MotionUsage, RemovableFeatures, without
 from stepcore.experiment.change import Change
-from stepcore.report.terminal import WIDTH
+from stepcore.report.terminal import WIDE
 
 # A block that slides on the floor, a pendulum that neither meets it nor its limit, and a
 # ball far away that meets nothing.
@@ -244,7 +244,7 @@ def test_the_command_writes_data_a_picture_a_page_and_the_model(tmp_path: Path, 
     args += ["--html", out["html"], "--save", out["xml"]]
     assert main(["ablate", str(model), *args]) == 0
     printed = capsys.readouterr().out
-    assert max(map(len, printed.splitlines())) <= WIDTH
+    assert max(map(len, printed.splitlines())) <= WIDE
     printed = " ".join(printed.split())
     assert "he smallest model within 1 mm saves" in printed
     data = json.loads(Path(out["json"]).read_text())

@@ -39,7 +39,7 @@ def test_a_batch_has_the_numbers_of_single_sims():
 def test_an_executor_gets_batches_of_some_points_each(monkeypatch, pool):
     model = sc.loads(SLIDING).compile()
     here = sc.sweep(model, GRID, slide, batch=True)
-    monkeypatch.setattr(sweep_module, "SHARE", 3)
+    monkeypatch.setattr(sweep_module, "MAX_POINTS", 3)
     with pool(2) as executor:
         there = sc.sweep(model, GRID, slide, batch=True, executor=executor)
     assert there.records == here.records

@@ -8,7 +8,7 @@ import pytest
 
 import stepcore as sc
 from stepcore.cli import main
-from stepcore.engine.norm import Matter, apart, rms
+from stepcore.engine.norm import Matter, distances, rms
 from stepcore.experiment import Change, Study
 from stepcore.measure.comparison.events import first_difference
 
@@ -64,7 +64,7 @@ def test_effects_are_those_of_swaps_made_by_hand(planted):
     )
     matter = Matter.of(arm())
     by_hand = {
-        path: rms(apart(before, tracks, matter)).max()
+        path: rms(distances(before, tracks, matter)).max()
         for path, tracks in zip(PLANTED, after, strict=True)
     }
     effects = {row.difference.path: row.alone for row in planted.models.rows}

@@ -14,7 +14,6 @@ import pytest
 import stepcore as sc
 from stepcore import lesson
 from stepcore.cli import main
-from stepcore.report.units import metres, seconds
 from stepcore.scene.scene import Scene
 
 
@@ -70,13 +69,7 @@ def test_well_solved_is_said_so(scene):
         scene.options |= {"sweeps": "auto", "tolerance": 1e-9, "warm_start": True}
     found = sc.converge(scene, horizon=0.2, starts=1, progress=False)
     assert found.verdict == "solved"
-    said = found.sentences[0]
-    assert said.startswith("Solved: ")
-    # The proposed shorter step was run, and has the reported error; or none helps.
-    errors = {f"a dt of {seconds(t.dt)} leaves {metres(t.error)}": t.error for t in found.dts}
-    told = [error for words, error in errors.items() if words in said]
-    assert all(error <= 0.6 * found.shipped.error for error in told)
-    assert told or "hardly lower" in said or found.shipped.error <= 2 * found.reference.error
+    assert found.ending.solver <= max(found.solved.error, 1e-5 * found.scale)
 
 
 def test_diverging_says_what_helps():
@@ -84,10 +77,9 @@ def test_diverging_says_what_helps():
     scene = lesson.spring(k=4e4, damping=0.5, integrator="semi-implicit", dt=0.0125)
     found = sc.converge(scene, horizon=0.5, starts=1, progress=False)
     assert found.verdict == "diverging"
-    (verdict,) = [sentence for sentence in found.sentences if sentence.startswith("Diverging")]
-    assert "Diverging: start 0" in verdict
+    assert found.shipped.failure and found.solved.failure
     # 2/ω = 10 ms: 12.5 ms blows up, the next step that is tried does not.
-    assert "Converged forces do not help; a time step of 6.25 ms does." in verdict
+    assert max(trial.dt for trial in found.dts if not trial.failure) == 0.00625
 
 
 # A last state whose velocities are finite, but no acceleration: 12 steps of 1 ms.
@@ -120,8 +112,7 @@ def test_what_explodes_asks_for_no_nanometres():
 def test_without_rows_the_error_of_the_time_step_is_told():
     """The step was reported to have no effect on a servo that turns at 1e232 rad/s."""
     found = sc.converge(lesson.spring(), horizon=0.3, starts=1, progress=False)
-    said = f"The time step causes an error of {metres(found.shipped.error)}"
-    assert said in found.sentences[0]
+    assert found.verdict == "no rows" and 0 < found.shipped.error < np.inf
 
 
 def test_the_converged_motion_is_as_fine_as_the_worst_start_needs_it():
@@ -142,7 +133,6 @@ def test_a_motion_that_is_exact_to_rounding_asks_for_no_finer_one(tmp_path):
     options = {"ctrl": [[0.0], [0.1]], "control_dt": 0.05, "horizon": 0.3, "progress": False}
     found = sc.converge(file, engine="mujoco", seconds=20, **options)
     assert found.shipped.error < found.size / 1e11 <= found.reference.goal * 1.01
-    assert "an error of < 1 pm in the worst of 3 starts" in found.sentences[0]
 
 
 def heavy_end(balls=4, ratio=1000.0):
@@ -178,7 +168,6 @@ def test_j2_heavy_end_chain(chain):
 def test_what_has_no_rows_and_one_row():
     found = sc.converge(lesson.spring(), horizon=0.3, starts=1, progress=False)
     assert found.verdict == "no rows" and found.better == "neither"
-    assert "so sweeps have no effect" in str(found)
     found = sc.converge(lesson.drop(), horizon=0.512, starts=1, progress=False)
     assert found.verdict == "solved" and found.has_rows
 
@@ -280,9 +269,6 @@ def test_few_sweeps_can_hide_what_diverges(heavy):
     solved = dataclasses.replace(heavy.solved, failure="start 0: far off")
     found = dataclasses.replace(heavy, solved=solved, ending=None)
     assert found.verdict == "diverging"
-    verdict, *_ = found.sentences
-    assert verdict.startswith("Diverging: with converged forces the motion fails (start 0: far off")
-    assert verdict.endswith("it runs only because sweeps are too few.")
 
 
 def test_a_chain_whose_joints_whirl_is_not_solved():

@@ -9,7 +9,7 @@ import pytest
 import stepcore as sc
 from stepcore.cli import main
 from stepcore.engine.features import RemovableFeatures
-from stepcore.report.terminal import WIDTH
+from stepcore.report.terminal import WIDE
 
 # Everything that can be left out is in it once.
 SCENE = """<mujoco><option timestep="0.002" integrator="implicitfast"/>
@@ -221,7 +221,7 @@ def test_the_command_prints_and_writes(tmp_path: Path, capsys) -> None:
     assert len(printed.splitlines()) <= 40 and "smaller ones (--all" in printed
     assert "Computed in a step\n" in printed and "Left out of a step\n" in printed
     assert "It tests " in printed and " pairs of geoms." in printed
-    assert max(map(len, printed.splitlines())) <= WIDTH
+    assert max(map(len, printed.splitlines())) <= WIDE
     data = json.loads(Path(out["json"]).read_text())
     assert {entry["used"] for entry in data["rows"]} == {True, False}
     assert "<img" in Path(out["html"]).read_text()

@@ -248,7 +248,7 @@ class Steps:
 
 
 def ladder(monkeypatch, rungs, known):
-    """The result of `settled` for the ends of rungs, which may fail, and another method's end."""
+    """`converged_growth` for the ends of rungs, which may fail, and another method's end."""
 
     def grown(engine, change, schedule, starts, size, directions):
         end, failure = rungs[change]
@@ -257,7 +257,7 @@ def ladder(monkeypatch, rungs, known):
 
     monkeypatch.setattr(predictable, "growth", grown)
     whole = Growth(0.1 * np.arange(1, 101), np.ones((1, 100)), np.array([known]), "")
-    return predictable.settled(None, range(len(rungs)), Steps(), [0], 1.0, 1, whole)[1]
+    return predictable.converged_growth(None, range(len(rungs)), Steps(), [0], 1.0, 1, whole)[1]
 
 
 @pytest.mark.parametrize(

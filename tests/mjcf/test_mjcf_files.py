@@ -48,7 +48,7 @@ def test_a_file_beyond_the_limit_is_refused(monkeypatch, tmp_path):
     path = tmp_path / "large.xml"
     path.write_text(BODY)
     assert sc.load(path).bodies
-    monkeypatch.setattr(files, "LARGEST", len(BODY) - 1)
+    monkeypatch.setattr(files, "LARGEST_FILE", len(BODY) - 1)
     with pytest.raises(ValueError, match="MiB"):
         sc.load(path)
 
@@ -170,7 +170,7 @@ def test_a_file_that_grows_is_read_as_far_as_it_said(tmp_path, monkeypatch):
             self.st_dev, self.st_ino = whole.st_dev, whole.st_ino
 
     monkeypatch.setattr(os, "fstat", lambda number: Shorter(status(number)))
-    assert files.read(path, "a model") == BODY.encode()
+    assert files.contents(path, "a model") == BODY.encode()
 
 
 def test_pointers_of_git_lfs_are_told(tmp_path):

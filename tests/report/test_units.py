@@ -34,9 +34,9 @@ from stepcore.report.settings import label
         (units.counted(8, "start"), "8 starts"),
         (units.compact(1.34e-3), "1.3e-3"),
         (units.compact(-1e-9), "0"),
-        (units.unit_of("kp", angular=True), "N·m/rad"),
-        (units.unit_of("armature", angular=False), "kg"),
-        (units.unit_of("gear", angular=False), ""),
+        (units.kind_unit("kp", angular=True), "N·m/rad"),
+        (units.kind_unit("armature", angular=False), "kg"),
+        (units.kind_unit("gear", angular=False), ""),
     ],
 )
 def test_what_is_printed(printed, words):

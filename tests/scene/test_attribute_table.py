@@ -5,7 +5,7 @@ import pytest
 from stepcore import Scene
 from stepcore.mjcf.schema import ROOT
 from stepcore.scene import elements
-from stepcore.scene.element import table
+from stepcore.scene.element import field_rows
 from stepcore.scene.elements.actuator_laws import LAWS
 
 BODY = ROOT.children["worldbody"].children["body"]
@@ -40,7 +40,7 @@ ELSEWHERE = {
 @pytest.mark.parametrize("kind", SPECS)
 def test_a_field_is_an_attribute_of_its_element(kind):
     attributes = {name for spec in SPECS[kind] for name in spec.attrs}
-    rows = table(getattr(elements, kind)).values()
+    rows = field_rows(getattr(elements, kind)).values()
     fields = {row.name for row in rows if row.type.attribute is not None}
     assert fields - attributes == ELSEWHERE.get(kind, set())
 
@@ -49,7 +49,7 @@ def test_a_field_is_an_attribute_of_its_element(kind):
 def test_the_documentation_of_a_class_gives_the_unit_of_each_field(kind):
     """But for "or": a hinge has rad where a slide has m."""
     text = " ".join(getattr(elements, kind).__doc__.split())
-    for row in table(getattr(elements, kind)).values():
+    for row in field_rows(getattr(elements, kind)).values():
         assert row.name in text, row.name
         for unit in row.unit.replace(" and ", " or ").replace(", ", " or ").split(" or "):
             assert unit == "1" or unit in text, (row.name, unit)

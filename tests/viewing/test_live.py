@@ -156,7 +156,7 @@ def test_a_start_begins_the_curves_anew():
 def test_runs_are_gone_through_together():
     one, other = cheetah(), cheetah()
     other.qpos[0] += 0.3
-    runs = live.several([one.run(0.5), other.run(0.5)], ["<first>", "second"])
+    runs = live.labelled_runs([one.run(0.5), other.run(0.5)], ["<first>", "second"])
     with live.view_runs(runs, port=PORT) as view, view._panel.lock:
         panel = view._panel
         panel.play(False)
@@ -169,7 +169,7 @@ def test_runs_are_gone_through_together():
         assert re.search(r"distance of second</td>[^>]*>300 mm", panel.figures.content)
         assert panel.apart.data[1] == pytest.approx([300, 300], abs=5)
         assert panel.apart.series[1]["label"] == "second"
-        part = live.several([one.run(1.0), other.run(0.5)], ["first", "second"])
+        part = live.labelled_runs([one.run(1.0), other.run(0.5)], ["first", "second"])
     with live.view_runs(part, port=PORT) as view, view._panel.lock:
         view._panel.play(False)
         view._panel.now = 1.4
@@ -353,7 +353,7 @@ def test_the_command_writes_a_page(tmp_path, capsys):
 )
 def test_it_says_what_other_machines_type(host, inner, others, capsys):
     try:
-        view = live.opened(live.view_sim(sc.Sim(lesson.drop()), host, PORT), False)
+        view = live.announced(live.view_sim(sc.Sim(lesson.drop()), host, PORT), False)
     except ValueError:
         pytest.skip(f"this machine has no {host}")
     with view:

@@ -42,7 +42,7 @@ def test_a_world_is_shown_where_it_is_and_stays_there():
 
 def test_words_alone_where_nothing_draws(monkeypatch):
     sim = sc.Sim(lesson.stack())
-    monkeypatch.setattr(notebook, "MOST", 1)
+    monkeypatch.setattr(notebook, "MAX_GEOMS", 1)
     assert sim._repr_html_() is None
     monkeypatch.undo()
 

@@ -11,7 +11,7 @@ from viewing_browser import complaints, opened, wait_for
 import stepcore as sc
 from stepcore import cli, lesson
 from stepcore.viewing import page as pages
-from stepcore.viewing.frames import distance
+from stepcore.viewing.frames import rms_distance
 
 
 @pytest.fixture(scope="module")
@@ -166,22 +166,22 @@ def test_the_distance_of_two_runs():
     low, high = drop(dt=0.01), drop(dt=0.01)
     high.qpos[0] += 0.1
     runs = [sim.run(0.4, record=("xpos",)) for sim in (low, high)]
-    gap = distance(*(run._replayed() for run in runs))
+    gap = rms_distance(*(run._replayed() for run in runs))
     expected = np.linalg.norm(runs[0].xpos - runs[1].xpos, axis=-1)[::2, 1]
     assert gap == pytest.approx(expected, abs=1e-12)
     assert gap[0] == pytest.approx(0.1) and gap.min() < 0.09
     # Of a run with other instants it is where its bodies were between them.
     other = drop(dt=0.005).run(0.2, record=("xpos",))
-    gap = distance(runs[0]._replayed(), other._replayed())
+    gap = rms_distance(runs[0]._replayed(), other._replayed())
     assert gap[:5].max() < 0.02
     with pytest.raises(ValueError, match="same bodies"):
-        distance(low.run(0.1)._replayed(), cheetah(0.1)._replayed())
+        rms_distance(low.run(0.1)._replayed(), cheetah(0.1)._replayed())
 
 
 def test_nothing_is_compared_after_the_other_has_ended(chrome, tmp_path):
     """Nor is a label taken for what a page is made of."""
     whole, part = drop(dt=0.01).run(1.0), drop(dt=0.01).run(0.5)
-    gap = distance(whole._replayed(), part._replayed())
+    gap = rms_distance(whole._replayed(), part._replayed())
     time = whole._replayed().time
     assert np.array_equal(np.isnan(gap), time > 0.505)
     whole.save_html(tmp_path / "run.html", over=[part], labels=["whole", "<b>part</b>"])

@@ -5,7 +5,7 @@ import pytest
 
 import stepcore as sc
 from stepcore import lesson
-from stepcore.viewing.frames import distance
+from stepcore.viewing.frames import rms_distance
 from stepcore.viewing.live import View
 
 
@@ -18,7 +18,7 @@ def test_the_distance_that_is_seen_is_the_error_of_the_row(trade):
     """The RMS over the run, of the only place where both are taken: the samples."""
     row = max((row for row in trade.rows if not row.failure), key=trade.error)
     truth, coarse = trade.seen(row)
-    gap = distance(coarse._replayed(), truth._replayed())
+    gap = rms_distance(coarse._replayed(), truth._replayed())
     assert 0.3 < np.sqrt(np.mean(gap**2)) / row.error < 3
     assert truth.snapshots.model.settings.dt == trade.reference.settings.dt
 

@@ -20,10 +20,10 @@ from stepcore.cli.terminal import (
     INTERRUPTED,
     UNDECIDED,
     ends_early_on_ctrl_c,
+    print_error,
     print_what_can_be_printed,
     reason,
     refusal,
-    say,
     tells_so_far,
 )
 from stepcore.deadline import SECONDS, OutOfTime
@@ -111,7 +111,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return stop.code if isinstance(stop.code, int) else 2
     except KeyboardInterrupt as stop:
         done = ", ".join(getattr(stop, "__notes__", ()))
-        say(f"interrupted after {done}" if done else "interrupted")
+        print_error(f"interrupted after {done}" if done else "interrupted")
         return INTERRUPTED
     except BrokenPipeError:
         # The reader has closed the pipe.
@@ -120,7 +120,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Exception as error:
         if debug:
             raise
-        say(refusal(error, file) if file else reason(error))
+        print_error(refusal(error, file) if file else reason(error))
         if isinstance(error, OutOfTime):
             return INTERRUPTED if error.interrupted else UNDECIDED
         return 2 if isinstance(error, (ValueError, OSError)) else 1
@@ -138,7 +138,7 @@ def _parsed(argv: Sequence[str]) -> argparse.Namespace:
     if asked is not None and asked not in COMMANDS:
         from stepcore.checks import nearest
 
-        top.error(f"no command '{asked}'{nearest(asked, COMMANDS, listed=len(COMMANDS))}")
+        top.error(f"no command '{asked}'{nearest(asked, COMMANDS, limit=len(COMMANDS))}")
     args, unknown = top.parse_known_args(argv)
     if unknown:
         args.parser.refuse(unknown)
@@ -153,7 +153,7 @@ def _say_what_it_does(argv: Sequence[str]) -> None:
     file = next((f" {word}" for word in argv[argv.index(name) + 1 :][:1] if word[:1] != "-"), "")
     limit, given = SECONDS.get(name, math.inf), any(word.startswith("--sec") for word in argv)
     most = f", at most {limit:g} s" if limit < math.inf and not given else ""
-    say(f"{name}{file}{most}: {COMMANDS[name].partition(':')[0]}")
+    print_error(f"{name}{file}{most}: {COMMANDS[name].partition(':')[0]}")
 
 
 def _asked(argv: Sequence[str]) -> str | None:
@@ -167,7 +167,7 @@ def _run(args: argparse.Namespace) -> int:
 
     with warnings.catch_warnings():
         # In one line, without the source line that warned.
-        warnings.showwarning = lambda message, *_, **__: say(" ".join(str(message).split()))
+        warnings.showwarning = lambda message, *_, **__: print_error(" ".join(str(message).split()))
         check_output(args)
         try:
             with ends_early_on_ctrl_c(), tells_so_far(bool(getattr(args, "json", None))):

@@ -9,7 +9,7 @@ from typing import Any
 
 from stepcore import checks
 from stepcore.cli.arguments import length
-from stepcore.cli.terminal import Usage, say
+from stepcore.cli.terminal import Usage, print_error
 from stepcore.experiment.accuracy import judge_error
 from stepcore.experiment.study import Study
 from stepcore.loading import model_file
@@ -80,7 +80,7 @@ def finish(result: Result, args: argparse.Namespace) -> int:
     if getattr(args, "baseline", None) is not None:
         _report_changes(result, accepted)
     if args.command in ("trade", "compare") or verdict.passed is None:
-        say(f"{verdict}")
+        print_error(f"{verdict}")
     if args.junit is not None:
         suite = f"stepcore {args.command} {args.file}"
         Path(args.junit).write_text(junit(suite, verdict, findings), encoding="utf-8")
@@ -146,7 +146,7 @@ def _report_changes(result: Any, accepted: set[tuple[str, str]]) -> None:
     present = {(finding.kind, finding.element) for finding in result.findings}
     for word, rows in (("new", present - accepted), ("vanished", accepted - present)):
         for kind, element in sorted(rows):
-            say(f"{word} since the baseline: {kind} {element}".rstrip())
+            print_error(f"{word} since the baseline: {kind} {element}".rstrip())
 
 
 def _save_baseline(result: Any, out: str) -> None:

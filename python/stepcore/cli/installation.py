@@ -9,7 +9,7 @@ import platform
 import sysconfig
 from importlib import metadata
 
-from stepcore.cli.terminal import put
+from stepcore.cli.terminal import print_above
 from stepcore.report.table import jsonable
 
 TEXTS = {
@@ -59,14 +59,14 @@ def call(args: argparse.Namespace, name: str) -> int:
     """Run a command; return the exit status."""
     if name == "info":
         facts = _facts()
-        said = "\n".join(f"{name:<16}{fact}" for name, fact in facts.items())
-        put(json.dumps(facts, indent=2) if args.json else said)
+        summary = "\n".join(f"{name:<16}{fact}" for name, fact in facts.items())
+        print_above(json.dumps(facts, indent=2) if args.json else summary)
         return 0
     from stepcore import lesson
 
     rows = lesson.run(args.engine)
     plain = json.dumps(jsonable([row.to_dict() for row in rows]), indent=2) if args.json else ""
-    put(plain or str(lesson.report(rows, full=args.all)))
+    print_above(plain or str(lesson.report(rows, full=args.all)))
     return 0 if all(row.ok for row in rows) else 1
 
 

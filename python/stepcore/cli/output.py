@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from stepcore import files
-from stepcore.cli.terminal import Usage, put
+from stepcore.cli.terminal import Usage, print_above
 from stepcore.needs import installing
 from stepcore.report.outputs import is_replaceable
 from stepcore.report.result import Result
@@ -64,7 +64,7 @@ def check_output(args: argparse.Namespace) -> None:
             raise Usage(f"{option} {out}: is a folder, not a file")
         if not path.parent.is_dir():
             raise Usage(f"{option} {out}: no such folder")
-        if any(given and _same(out, given) for given in inputs):
+        if any(source and _same(out, source) for source in inputs):
             raise Usage(f"{option} {out}: is read by this command, so it is not written over")
         with contextlib.suppress(OSError):
             status = os.stat(out)
@@ -74,16 +74,16 @@ def check_output(args: argparse.Namespace) -> None:
         if any(_same(out, other) for name, other in outputs if name != option):
             raise Usage(f"{option} {out}: another output of the command is the same file")
         if not is_replaceable(out) and not args.force:
-            what = "exists and is no earlier output of stepcore"
-            raise Usage(f"{option} {out}: {what}; --force replaces it")
+            reason = "exists and is no earlier output of stepcore"
+            raise Usage(f"{option} {out}: {reason}; --force replaces it")
     _check_matplotlib(getattr(args, "plot", None), getattr(args, "html", None))
 
 
-def _same(one: str, other: str) -> bool:
+def _same(path: str, other: str) -> bool:
     try:
-        return os.path.samefile(one, other)
+        return os.path.samefile(path, other)
     except OSError:
-        return os.path.realpath(one) == os.path.realpath(other)
+        return os.path.realpath(path) == os.path.realpath(other)
 
 
 def deliver(result: Result, args: argparse.Namespace) -> None:
@@ -94,7 +94,7 @@ def deliver(result: Result, args: argparse.Namespace) -> None:
         (args.json, lambda: Path(args.json).write_text(result.to_json() + "\n", encoding="utf-8")),
     ]
     failed = attempted([write for write in writes if write[0] not in (None, "-")])
-    put(result.to_json() if args.json == "-" else result.text(full=args.all))
+    print_above(result.to_json() if args.json == "-" else result.text(full=args.all))
     for error in failed:
         raise error
 
@@ -121,6 +121,6 @@ def _check_matplotlib(plot: str | None, html: str | None) -> None:
     except ImportError:
         option = "--html" if plot is None else "--plot"
         raise Usage(f"{option} needs matplotlib: {installing('plot')}") from None
-    known = Figure().canvas.get_supported_filetypes()
-    if plot is not None and Path(plot).suffix.lstrip(".").lower() not in known:
-        raise Usage(f"--plot {plot}: the extension must be one of {', '.join(sorted(known))}")
+    formats = Figure().canvas.get_supported_filetypes()
+    if plot is not None and Path(plot).suffix.lstrip(".").lower() not in formats:
+        raise Usage(f"--plot {plot}: the extension must be one of {', '.join(sorted(formats))}")

@@ -23,7 +23,7 @@ from stepcore.cli.arguments import (
     time,
 )
 from stepcore.cli.output import Writes, add_force, add_output, attempted, deliver
-from stepcore.cli.terminal import INTERRUPTED, Usage, put, reason, say
+from stepcore.cli.terminal import INTERRUPTED, Usage, print_above, print_error, reason
 from stepcore.engine.model import Model
 from stepcore.engine.replay import replay
 from stepcore.engine.sim import Sim
@@ -179,7 +179,7 @@ def _run(args: argparse.Namespace) -> int:
     if result.error is not None:
         said = [f"{one_line(result.error)}.", *(finding.text for finding in result.findings)]
         # Printed first, because saving can fail too.
-        say(" ".join(said), end=" ")
+        print_error(" ".join(said), end=" ")
         _keep(result.error, args, result.trajectory)
         return 1
     unsaved = attempted(_saves(args, result.trajectory))
@@ -195,7 +195,7 @@ def _inputs(args: argparse.Namespace, model: Model) -> tuple[Motion, list[Push]]
     try:
         pushes = [Push.of(text) for text in args.push]
         for push in pushes:
-            push.on(model)
+            push.body_index(model)
     except ValueError as error:
         raise Usage(f"--{one_line(error)}") from None
     return motion, pushes
@@ -239,7 +239,7 @@ def _keep(error: SimulationError, args: argparse.Namespace, run: Trajectory | No
     if run is not None and args.plot is not None:
         saves.append((args.plot, lambda: run.plot(args.plot)))
     said += [f"Not saved: {reason(other)}." for other in attempted(saves)]
-    put(" ".join(said), stream=sys.stderr)
+    print_above(" ".join(said), stream=sys.stderr)
 
 
 def _view(args: argparse.Namespace) -> int:
@@ -257,13 +257,13 @@ def _view(args: argparse.Namespace) -> int:
     motion, pushes = _inputs(args, sim.model)
     run = runs.simulated(sim, sim.settings, motion, horizon, pushes, ("qpos",), None)
     if run.error is not None:
-        say(one_line(run.error))
+        print_error(one_line(run.error))
     # The page of a failed run shows the motion up to the failure.
     seen = run.trajectory
     if seen is not None:
         for unsaved in attempted([(args.page, lambda: seen.save_html(args.page))]):
             raise unsaved
-        put(f"{args.page}: {seen.time[-1] - seen.time[0]:g} s of motion")
+        print_above(f"{args.page}: {seen.time[-1] - seen.time[0]:g} s of motion")
     return 0 if run.success else 1
 
 
@@ -276,5 +276,5 @@ def _live(args: Any, sim: Sim) -> None:
     sim.reset(key=0 if key is None and sim.model.keys else key)
     if args.ctrl is not None:
         table = control_table(controls_of(args.ctrl, sim.model))
-        sim.ctrl = table.log(sim.model, np.array(sim.ctrl), sim.settings.dt).rows[0]
+        sim.ctrl = table.control_log(sim.model, np.array(sim.ctrl), sim.settings.dt).rows[0]
     sim.view(host=args.host, port=args.port, wait=True)

@@ -62,12 +62,12 @@ def print_what_can_be_printed() -> None:
             reconfigure(errors=ERRORS)
 
 
-def say(text: str, end: str = "\n") -> None:
+def print_error(text: str, end: str = "\n") -> None:
     """Write a line to the error stream."""
-    put(f"stepcore: {text}", end, sys.stderr)
+    print_above(f"stepcore: {text}", end, sys.stderr)
 
 
-def put(text: str, end: str = "\n", stream: TextIO | None = None) -> None:
+def print_above(text: str, end: str = "\n", stream: TextIO | None = None) -> None:
     """Print a text above a bar; control characters in names are escaped."""
     with last_line.lock:
         last_line.draw("")
@@ -94,7 +94,7 @@ def refusal(error: BaseException, file: str) -> str:
 
     if not isinstance(error, MJCFError):
         return reason(error)
-    lines, kinds = str(error).split("\n"), dict.fromkeys(one.kind for one in error.errors)
+    lines, kinds = str(error).split("\n"), dict.fromkeys(cause.kind for cause in error.errors)
     if all(kinds) and len(lines) > 1:
         # The last line has the same advice for Python.
         lines.pop()
@@ -113,7 +113,7 @@ def stop(number: int, frame: FrameType | None) -> None:
     if measurement is None or measurement.interrupted:
         raise KeyboardInterrupt
     measurement.stop()
-    say("interrupted; what is known follows (Ctrl-C again ends at once)")
+    print_error("interrupted; what is known follows (Ctrl-C again ends at once)")
 
 
 @contextmanager
@@ -121,9 +121,9 @@ def tells_so_far(json: bool) -> Iterator[None]:
     """Print preliminary answers to the error stream; with JSON on terminals only."""
     seldom = deadline.pace
     if watched():
-        deadline.listener, deadline.pace = say, OFTEN
+        deadline.listener, deadline.pace = print_error, OFTEN
     elif not json:
-        deadline.listener = say
+        deadline.listener = print_error
     try:
         yield
     finally:

@@ -118,7 +118,7 @@ def actuators(model: Model) -> list[Actuator]:
     return [_actuator(model, layout, k) for k in range(model.nu)]
 
 
-def loads(sim: Sim) -> Floats:
+def hold_load(sim: Sim) -> Floats:
     """Return the force on each dof that holds a Sim at rest in its pose, (nv,) [N or N·m].
 
     The force is the bias minus the passive forces of the last `forward` or step, without contacts.

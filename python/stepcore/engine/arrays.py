@@ -68,12 +68,12 @@ class ReadOnly(Generic[T]):
         raise AttributeError(f"{self.name} of a {type(owner).__name__} is read-only")
 
 
-def readout(doc: str, of: str = "") -> ReadOnly[Floats]:
+def readout(doc: str, alias: str = "") -> ReadOnly[Floats]:
     """Return an attribute that the engine computes from the state, or kept from the last solve.
 
-    of: the readout that an alias with MuJoCo's name returns.
+    alias: the readout that an alias with MuJoCo's name returns.
     """
-    return ReadOnly(doc, lambda owner, name: owner._core.readout(of or name))
+    return ReadOnly(doc, lambda owner, name: owner._core.readout(alias or name))
 
 
 def constant(doc: str) -> ReadOnly[NDArray[Any]]:
@@ -125,7 +125,7 @@ class State(bytes):
     last: bytes | None = None
 
 
-def kept(state: bytes, last: bytes | None) -> State:
+def snapshot_with(state: bytes, last: bytes | None) -> State:
     """Return a snapshot with the data of the last solve."""
     copy = State(state)
     copy.last = last

@@ -19,9 +19,9 @@ from stepcore.engine.arrays import (
     STATE,
     Floats,
     indices_of,
-    kept,
     numbers,
     snapshot,
+    snapshot_with,
 )
 from stepcore.engine.gradients import Gradients, X
 from stepcore.engine.linearization import Linearizations, LinearWorlds
@@ -42,10 +42,6 @@ if TYPE_CHECKING:
     from stepcore.scene.scene import Scene
     from stepcore.signatures import SettingsFields
 
-
-# Below this number of worlds × dofs one thread is faster than several: waking a thread costs about
-# 20 µs a step (measured on two cores: 64 worlds of a half cheetah lose 25 %, 512 gain 40 %).
-WORTH_THREADS = 2000
 
 # Treatment of the other worlds when one world fails.
 ON_FAILURE = ("stop", "go on")
@@ -319,8 +315,8 @@ class Batch(World):
 
         The times differ from `time` after a `reset` with `worlds`.
         """
-        own = self._reset_to + self._steps_since_reset() * self.settings.dt
-        return np.where(np.isnan(own), self.time, own)
+        times = self._reset_to + self._steps_since_reset() * self.settings.dt
+        return np.where(np.isnan(times), self.time, times)
 
     def _steps_since_reset(self) -> Floats:
         """Return the steps of each world since its individual reset; NaN without one."""
@@ -417,7 +413,7 @@ class Batch(World):
             int(world): (float(self._reset_to[world]), int(steps[world]))
             for world in np.flatnonzero(~np.isnan(steps))
         }
-        return tuple(map(kept, self._core.state(clocks), self._core.last()))
+        return tuple(map(snapshot_with, self._core.state(clocks), self._core.last()))
 
     def restore(self, state: tuple[bytes, ...]) -> None:
         """Restore a snapshot from `state`; the motion then continues bit-identically.
@@ -431,9 +427,9 @@ class Batch(World):
         except TypeError:
             worlds = [state]  # type: ignore[list-item]
         parts = [snapshot(state, world) for world in worlds]
-        own = self._core.restore([own for own, _ in parts], [last for _, last in parts])
+        resets = self._core.restore([state for state, _ in parts], [last for _, last in parts])
         self._reset_at[:] = np.nan
-        for world, (start, steps) in own.items():
+        for world, (start, steps) in resets.items():
             self._reset_at[world] = self.time - steps * self.settings.dt
             self._reset_to[world] = start
 
@@ -512,7 +508,9 @@ def unwatched(batch: Batch) -> Batch:
 
 def _threads(threads: int | None, n: int, nv: int) -> int:
     """Return the number of threads; None means one per core, or one for a small batch."""
-    if threads is None and checks.number(n) is not None and n * nv < WORTH_THREADS:
+    # For fewer worlds × dofs one thread is faster than several: waking a thread costs about 20 µs a
+    # step (measured on two cores: 64 worlds of a half cheetah lose 25 %, 512 gain 40 %).
+    if threads is None and checks.number(n) is not None and n * nv < 2000:
         return 1
     return checks.threads(threads)
 

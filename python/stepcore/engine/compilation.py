@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from stepcore import _core, checks
 from stepcore.mjcf.nodes import with_file_lines
-from stepcore.scene.layout import Layout, called, named
+from stepcore.scene.layout import Layout, label_of, relabelled
 
 if TYPE_CHECKING:
     from stepcore.scene.scene import Scene
@@ -57,8 +57,8 @@ def compile_data(scene: Scene, data: dict[str, Any] | ValueError) -> _core.Model
     except checks.ElementError as error:
         place = getattr(error.owner, "place", "")
         if not place:
-            raise named(scene, error) from None
-        raise checks.ElementError(f"{place}: {called(scene, error.owner)}", error.text) from None
+            raise relabelled(scene, error) from None
+        raise checks.ElementError(f"{place}: {label_of(scene, error.owner)}", error.text) from None
     except ValueError as error:
         raise with_file_lines(error, Layout(scene)) from None
 

@@ -29,16 +29,16 @@ class ControlError(ValueError):
     """A control function failed for a reason that no settings can avoid."""
 
     @classmethod
-    def not_repeatable(cls, function: Callable[..., Any], again: str) -> ControlError:
+    def not_repeatable(cls, function: Callable[..., Any], occasion: str) -> ControlError:
         """Return the error of a function with other results in a repeated run."""
         return cls(
-            f"{control_name(function)} returned other controls when {again}: it is random, or "
+            f"{control_name(function)} returned other controls when {occasion}: it is random, or "
             "remembers earlier calls. Runs with it cannot be compared; give a callable object that "
             "keeps its memory in its attributes, of which each run gets a copy"
         )
 
 
-def controls(function: Callable[[float, SomeWorld], ArrayLike], sim: SomeWorld) -> Floats:
+def evaluate_control(function: Callable[[float, SomeWorld], ArrayLike], sim: SomeWorld) -> Floats:
     """Return the result of a control function at the present state of a Sim, shape (nu,).
 
     Raises ControlError for anything but nu real numbers, for non-finite numbers at the beginning of
@@ -48,8 +48,8 @@ def controls(function: Callable[[float, SomeWorld], ArrayLike], sim: SomeWorld) 
     """
     time, nu = sim.time, sim.model.nu
     if is_batched(function):
-        one: Any = _OneWorld(sim)
-        return batch_controls(function, one)[0]
+        world: Any = _OneWorld(sim)
+        return batch_controls(function, world)[0]
     try:
         value = function(time, sim)
     except SimulationError:
@@ -74,8 +74,8 @@ def controls(function: Callable[[float, SomeWorld], ArrayLike], sim: SomeWorld) 
     table = table.reshape(nu)
     if bad := not_finite(sim, table):
         (k,) = bad
-        what = "NaN" if np.isnan(table[k]) else f"{table[k]:g}"
-        text = _refused(function, sim, f"{what} for {sim.model.element_name('actuator', k)}")
+        entry = "NaN" if np.isnan(table[k]) else f"{table[k]:g}"
+        text = _refused(function, sim, f"{entry} for {sim.model.element_name('actuator', k)}")
         raise (ControlError if time == 0 else ValueError)(text)
     return table
 
@@ -115,7 +115,7 @@ class _OneWorld:
 
 
 def batch_controls(function: Callable[[float, SomeWorld], ArrayLike], worlds: SomeWorld) -> Floats:
-    """Return the result of a function of many worlds, (n, nu); errors as of `controls`."""
+    """Return the result of a function of many worlds, (n, nu); errors as of `evaluate_control`."""
     time, shape = worlds.time, (len(worlds.qpos), worlds.model.nu)
     try:
         table = numbers("ctrl", function(time, worlds))
@@ -135,11 +135,11 @@ def batch_controls(function: Callable[[float, SomeWorld], ArrayLike], worlds: So
     return table
 
 
-def _refused(function: Callable[..., Any], sim: World, what: str) -> str:
-    """Return the error text for a control function that returned `what`."""
+def _refused(function: Callable[..., Any], sim: World, returned: str) -> str:
+    """Return the error text for a control function that returned this value."""
     nu, single = sim.model.nu, ", in single precision" * (sim.settings.precision == "f32")
     limit = f"must return {nu} finite number{'s' * (nu != 1)}, one for each actuator{single}"
-    return f"{control_name(function)} returned {what} at time {sim.time:g} s: {limit}"
+    return f"{control_name(function)} returned {returned} at time {sim.time:g} s: {limit}"
 
 
 def not_finite(sim: World | Model, table: Floats) -> tuple[int, ...]:
@@ -153,7 +153,7 @@ def not_finite(sim: World | Model, table: Floats) -> tuple[int, ...]:
     return () if finite.all() else tuple(int(k) for k in np.argwhere(~finite)[0])
 
 
-def fresh(function: Control) -> Control:
+def new_control(function: Control) -> Control:
     """Return the function for one run; a callable object is copied.
 
     The state that the object keeps between calls then belongs to that run. A plain function is

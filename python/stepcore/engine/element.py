@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stepcore.report.units import counted, plural, unit_of
+from stepcore.report.units import counted, kind_unit, plural
 from stepcore.scene.elements.actuator_laws import LAW_FIELDS
 from stepcore.scene.layout import Layout
 
@@ -123,7 +123,7 @@ class SceneField:
             joint = owner.joint or owner.jointinparent
             if name in LAW_FIELDS[owner.type]:
                 value, default = owner.law_value(name), LAW_FIELDS[owner.type][name]
-        unit = unit_of(name, getattr(joint, "type", "") in ("hinge", "ball"))
+        unit = kind_unit(name, getattr(joint, "type", "") in ("hinge", "ball"))
         called = getattr(owner, "name", "")
         path = f"{kind}/{called}/{name}" if called else ""
         return cls(kind, index, name, value, default, unit, path)
@@ -165,7 +165,7 @@ class Elements(tuple[Element, ...]):
     __slots__ = ()
 
     @property
-    def several(self) -> bool:
+    def is_plural(self) -> bool:
         """Whether the name is a plural, which needs a plural verb."""
         return len(self) > 1 or self == (INERTIAL,)
 
@@ -176,10 +176,10 @@ class Elements(tuple[Element, ...]):
             return "".join(element.name for element in self)
         nouns = {(element.noun, element.owner) for element in self}
         if len(nouns) > 1 or not all(element.label.startswith("`") for element in self):
-            return listed([element.name for element in self])
+            return name_list([element.name for element in self])
         ((noun, owner),) = nouns
         kind = plural(noun) + (f" of {plural(owner)}" if owner else "")
-        return f"the {len(self)} {kind} {listed([element.label for element in self])}"
+        return f"the {len(self)} {kind} {name_list([element.label for element in self])}"
 
     @property
     def together(self) -> str:
@@ -190,12 +190,12 @@ class Elements(tuple[Element, ...]):
     def summary(self) -> str:
         """Names of a few elements; for more elements, the count of each noun."""
         if len(self) <= NAMES:
-            return listed([element.name for element in self])
+            return name_list([element.name for element in self])
         counts = [counted(n, noun) for noun, n in Counter(e.noun for e in self).items()]
         return " and ".join(filter(None, (", ".join(counts[:-1]), counts[-1])))
 
 
-def listed(names: Iterable[str]) -> str:
+def name_list(names: Iterable[str]) -> str:
     """Join the first names, and add the number of names left out."""
     every = list(names)
     more = len(every) - NAMES

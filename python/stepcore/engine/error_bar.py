@@ -10,8 +10,8 @@ import numpy as np
 
 from stepcore._core import Settings, SimulationError
 from stepcore.engine.arrays import INPUTS, STATE, Floats, refuse_late
-from stepcore.engine.control import ControlError, controls, fresh
-from stepcore.engine.norm import Matter, Tracks, apart, largest, rms
+from stepcore.engine.control import ControlError, evaluate_control, new_control
+from stepcore.engine.norm import Matter, Tracks, distances, largest, rms
 from stepcore.engine.run_settings import converged_settings
 from stepcore.scene.layout import Layout
 
@@ -22,12 +22,7 @@ if TYPE_CHECKING:
 # The finer run: a fraction of the accuracy, or of the time step. In a first-order method its error
 # is this fraction of the run's error and the distance is the rest; in a higher-order method the
 # distance is nearly the whole error.
-ACCURACY, STEP = 1 / 10, 4
-# The runs have diverged if the distance of a body exceeds the first fraction of the scene's
-# lengths, and agree again below the second: diverged runs can meet by chance.
-PARTED, TOGETHER = 0.1, 0.001
-# The longest time between two comparisons [s].
-LOOK = 0.05
+ACCURACY, DT_RATIO = 1 / 10, 4
 
 
 class ErrorBar(NamedTuple):
@@ -58,11 +53,14 @@ class FinerRun:
         self.sim._core.unwatch()
         self.steps = round(model.settings.dt / finer.dt)
         # The smallest ratio of distance to error.
-        self.seen = 1 - (1 / STEP if sim.settings.accuracy is None else ACCURACY)
-        self.block = max(1, round(LOOK / model.settings.dt))
+        self.seen = 1 - (1 / DT_RATIO if sim.settings.accuracy is None else ACCURACY)
+        # The runs are compared at least every 50 ms.
+        self.block = max(1, round(0.05 / model.settings.dt))
         self.matter = Matter.of(model)
         reach = longest(model, self.matter)
-        self.parted, self.together = PARTED * reach, TOGETHER * reach
+        # Runs diverge if a body's distance exceeds a tenth of the scene's lengths, and agree again
+        # below a thousandth: diverged runs can meet by chance.
+        self.parted, self.together = 0.1 * reach, 0.001 * reach
         self.until = np.inf
         # State of the first run at the last common time, None before; and the inputs of both runs.
         self.state: list[bytes] | None = None
@@ -177,7 +175,7 @@ class FinerRun:
     def _distances(self) -> Floats:
         """Return the distance of each moving body from its pose in the finer run [m]."""
         if self.far is None:
-            self.far = apart(self._poses(self.of), self._poses(self.sim), self.matter)[0, 0]
+            self.far = distances(self._poses(self.of), self._poses(self.sim), self.matter)[0, 0]
         return self.far
 
     def _poses(self, sim: Sim) -> Tracks:
@@ -199,14 +197,14 @@ class FinerRun:
         self._keep()
 
 
-def judged(sim: Any, names: Sequence[str]) -> tuple[str, ...]:
+def recorded_names(sim: Any, names: Sequence[str]) -> tuple[str, ...]:
     """Return the names of quantities to record, including the error if it is measured."""
     errors = () if getattr(sim, "_finer", None) is None else ("error", "body_error")
     return tuple(dict.fromkeys((*names, *errors)))
 
 
 @contextmanager
-def driven(sim: Any, control: Any) -> Iterator[Callable[[], None]]:
+def driven_finer(sim: Any, control: Any) -> Iterator[Callable[[], None]]:
     """Control the finer run of a Sim, if there is one, by another copy of a control function.
 
     The yielded function has to be called at the beginning of each period, before the controls of
@@ -219,15 +217,15 @@ def driven(sim: Any, control: Any) -> Iterator[Callable[[], None]]:
         return
     finer.meet()
     # Both calls read the finer run: the first run's readouts may differ at the same state.
-    first, again = (np.array(controls(fresh(control), finer.sim)) for _ in range(2))
-    if not np.array_equal(first, again):
+    first, second = (np.array(evaluate_control(new_control(control), finer.sim)) for _ in range(2))
+    if not np.array_equal(first, second):
         raise ControlError.not_repeatable(control, "a finer run asked for the error bar")
-    controller = fresh(control)
+    controller = new_control(control)
 
     def period() -> None:
         finer.ctrl = None
         finer.meet()
-        finer.ctrl = np.array(controls(controller, finer.sim))
+        finer.ctrl = np.array(evaluate_control(controller, finer.sim))
 
     try:
         yield period
@@ -243,7 +241,7 @@ def finer_settings(settings: Settings) -> Settings:
         except ValueError:
             limit = "ten times the least one, for the finer run of an error bar"
             raise ValueError(f"accuracy = {accuracy:g}: must be at least {limit}") from None
-    return converged_settings(settings, dt=settings.dt / STEP, sleep=False, ledger=False)
+    return converged_settings(settings, dt=settings.dt / DT_RATIO, sleep=False, ledger=False)
 
 
 def longest(model: Model, matter: Matter) -> float:

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from stepcore.engine.model import Model
     from stepcore.scene.scene import Scene
 
-# Above this number of body pairs in contact, pairs are removed body by body.
-MAX_PAIRS = 30
 SomeScene = TypeVar("SomeScene", bound="Scene")
 Edit = tuple[str, Any]
 
@@ -266,7 +264,8 @@ class RemovableFeatures:
         if unused:
             never = f"{counted(len(unused), 'pair')} of bodies that never touch"
             yield self._excluding("colliders", never, unused)
-        if len(met) <= MAX_PAIRS:
+        # More pairs in contact are removed body by body.
+        if len(met) <= 30:
             for a, b in met:
                 yield self._excluding("collider", f"{called[a]}/{called[b]}", [(a, b)])
         else:
@@ -310,7 +309,7 @@ class RemovableFeatures:
         ]
 
 
-def _positions(compiled: Iterable[Any], listed: Iterable[Any]) -> list[int]:
+def _positions(compiled: Iterable[Any], elements: Iterable[Any]) -> list[int]:
     """Map compiled elements, in model order, to their indices in the scene's list."""
-    index = {id(element): i for i, element in enumerate(listed)}
+    index = {id(element): i for i, element in enumerate(elements)}
     return [index[id(element)] for element in compiled]

@@ -19,8 +19,8 @@ from stepcore.engine.control import (
     Control,
     ControlError,
     batch_controls,
-    fresh,
     is_batched,
+    new_control,
     not_finite,
 )
 from stepcore.engine.model import Model
@@ -43,7 +43,7 @@ DEAR = "the accuracy takes more evaluations of the forces than the run may"
 # The number of batches kept for a call with the same model, settings and number of starts: a search
 # uses a few settings repeatedly. Ten steps of eight half_cheetahs take 54 µs with a kept batch, and
 # 196 µs with a new one.
-KEPT = 4
+MOST_BATCHES = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,9 +53,9 @@ class Followed:
     times: times of the samples [s], (n + 1,); the first is 0, the start.
     data: recorded arrays by name, (starts, n + 1, …); NaN after a run has ended.
     failures: the errors of runs that ended early, by the index of the start.
-    made: the number of steps of each start, (starts,).
-    inner: evaluations of the forces of adaptive steps, with the setting `accuracy`; else as `made`;
-        (starts,).
+    steps_made: the number of steps of each start, (starts,).
+    inner: evaluations of the forces of adaptive steps, with the setting `accuracy`; else as
+        `steps_made`; (starts,).
     counted: the operations, or a function that counts them.
     seconds: processor time of the call [s].
     """
@@ -63,7 +63,7 @@ class Followed:
     times: Floats
     data: dict[str, Floats]
     failures: dict[int, SimulationError]
-    made: np.ndarray
+    steps_made: np.ndarray
     inner: np.ndarray
     counted: Floats | Callable[[], Floats]
     seconds: float
@@ -139,14 +139,14 @@ def follow(
     checkpoint()
     free = probe is None and bool(run.steps)
     if control is None and free and sampled(run.names, model.settings):
-        run.whole(threads)
+        run.run_all(threads)
     elif is_batched(control) and free and model.settings.accuracy is None:
         run.together(threads)
     else:
         for start in range(len(starts)):
             run.alone(start)
     times = np.arange(0, run.steps + 1, run.every, dtype=np.float64) * model.settings.dt
-    steps_done = run.made, run.inner, run.operations
+    steps_done = run.steps_made, run.inner, run.operations
     return Followed(times, run.data, run.failures, *steps_done, clock() - begun)
 
 
@@ -188,8 +188,8 @@ class _Run:
             raise ValueError("control: must be None where ctrl is given")
         self.names = recordable(record, OF_WORLDS)
         self.ctrl = None if ctrl is None else self.table(ctrl)
-        self.made = np.full(len(starts), self.steps)
-        self.inner = self.made.copy()
+        self.steps_made = np.full(len(starts), self.steps)
+        self.inner = self.steps_made.copy()
         self.data: dict[str, Floats] = {}
         self.failures: dict[int, SimulationError] = {}
         # Positions of the bodies at the start of each run.
@@ -205,7 +205,7 @@ class _Run:
             raise ValueError(f"ctrl{list(where)} = {table[where]}: must be finite")
         return table
 
-    def keep(self, start: int, sample: int, sim: Sim) -> None:
+    def record(self, start: int, sample: int, sim: Sim) -> None:
         """Record a sample of a run, and end the run if a body is beyond the bound."""
         values = {name: np.asarray(getattr(sim, name)) for name in self.names}
         if self.probe is not None:
@@ -229,12 +229,12 @@ class _Run:
 
     def end(self, start: int, error: SimulationError) -> None:
         if start not in self.failures:
-            self.failures[start], self.made[start] = error, error.step
+            self.failures[start], self.steps_made[start] = error, error.step
             self.inner[start] = error.step
             for values in self.data.values():
                 values[start, error.step // self.every + 1 :] = np.nan
 
-    def whole(self, threads: int) -> None:
+    def run_all(self, threads: int) -> None:
         """Run all starts in one call of the engine."""
         key = (self.model.core, self.model.settings, len(self.starts), threads)
         kept = core, arrays, initial = _kept_batch(key)
@@ -273,7 +273,7 @@ class _Run:
         worlds._core.unwatch()
         for world, start in enumerate(self.starts):
             start.put(worlds, world)
-        control, done = fresh(self.control) if self.control else None, 0
+        control, done = new_control(self.control) if self.control else None, 0
         assert control is not None
         self.keep_all(0, worlds)
         while done < self.steps:
@@ -311,7 +311,7 @@ class _Run:
         """Run one start in a Sim."""
         sim = unwatched(Sim(self.model))
         self.starts[start].put(sim)
-        drive: Any = None if self.control is None else fresh(self.control)
+        drive: Any = None if self.control is None else new_control(self.control)
         if self.ctrl is not None:
             drive = self.ctrl[start % len(self.ctrl)]
         try:
@@ -321,7 +321,7 @@ class _Run:
                     self.end(start, _failure(DEAR, done, sim.time, start))
                     break
                 if done % self.every == 0:
-                    self.keep(start, done // self.every, sim)
+                    self.record(start, done // self.every, sim)
                 if start in self.failures:
                     break
         except SimulationError as error:
@@ -339,7 +339,7 @@ class _Run:
     def operations(self) -> Floats:
         """Estimate the operations of each start from a few of its steps."""
         operations = np.full(len(self.starts), np.nan)
-        for start, completed in enumerate(self.made.tolist() if self.control is None else ()):
+        for start, completed in enumerate(self.steps_made.tolist() if self.control is None else ()):
             checkpoint()
             sim, counts, before = unwatched(Sim(self.model)), list[int](), 0
             self.starts[start].put(sim)
@@ -388,4 +388,4 @@ def _kept_batch(key: _Key) -> _Kept:
 def _keep_batch(key: _Key, kept: _Kept) -> None:
     with _lock:
         _batches.append((key, kept))
-        del _batches[:-KEPT]
+        del _batches[:-MOST_BATCHES]

@@ -26,15 +26,13 @@ if TYPE_CHECKING:
 
 # A gradient that grows by more than this in the backward pass is valid for a step or two only; a
 # part that is smaller by this factor is noise.
-GROWTH = 1e6
-# A gradient is meaningless if it changes by this fraction in steps half as long.
-APART = 0.5
+MAX_GROWTH = 1e6
 TINY = np.finfo(float).tiny
 # The number of steps before and after a step in which its contact is searched.
-NEAR = 50
+NEAR_STEPS = 50
 # The number of steps of a world that are linearised together, and the largest number of matrix
 # entries in memory: 64 MiB.
-BLOCK, ROOM = 64, 2**23
+SLICE, ROOM = 64, 2**23
 # The parts of x.
 X = (*STATE, "ctrl_history")
 
@@ -150,13 +148,13 @@ class Steps:
 
     def shares(self) -> list[range]:
         """Return ranges of worlds, each so small that a block of its steps fits in `ROOM`."""
-        block = BLOCK * self.size * (self.size + self.batch.model.nu + len(self.labels))
+        block = SLICE * self.size * (self.size + self.batch.model.nu + len(self.labels))
         most = max(1, ROOM // max(1, block))
         return [range(k, min(k + most, self.n)) for k in range(0, self.n, most)]
 
     def blocks(self) -> list[range]:
         """Return the ranges of steps that are linearised together."""
-        return [range(k, min(k + BLOCK, self.count)) for k in range(0, self.count, BLOCK)]
+        return [range(k, min(k + SLICE, self.count)) for k in range(0, self.count, SLICE)]
 
     def changes(self) -> Floats:
         """Return the approximate change of x in each step, (n, steps, size)."""
@@ -219,7 +217,7 @@ def pulled(
     back = adjoints(steps, weights)
     given_size = np.linalg.norm(weights, axis=-1).sum(axis=1)
     growth = back.sizes.max(axis=1, initial=0.0) / np.where(given_size > 0, given_size, np.inf)
-    grown = growth > GROWTH
+    grown = growth > MAX_GROWTH
     texts = [_grown(steps, int(k), float(growth[k]), back) for k in np.flatnonzero(grown)[:1]]
     error = None
     if halved is not None:
@@ -234,7 +232,8 @@ def pulled(
             f"{checks.one_line(failed[world])}"
             for world in list(failed)[:1]
         ]
-        for world in np.flatnonzero(np.isfinite(error) & (error > APART) & ~grown)[:1]:
+        # A gradient is meaningless if it changes by half in steps half as long.
+        for world in np.flatnonzero(np.isfinite(error) & (error > 0.5) & ~grown)[:1]:
             largest = max(parts, key=lambda part: parts[part][world])
             texts.append(_parted(steps, int(world), largest, float(error[world]), back, finer))
     for text in texts:
@@ -407,19 +406,19 @@ def _spread(rows: Floats) -> Floats:
 def _apart(back: Adjoints, finer: Adjoints, steps: Steps, given_size: Floats) -> dict[str, Floats]:
     """Return the relative distance of each part of a gradient from steps half as long, (n,).
 
-    A part is negligible below 1/`GROWTH` of: the largest gradient by a state; for controls, the sum
-    of its absolute terms; for the relative change of a parameter, the changes of all steps.
+    A part is negligible below 1/`MAX_GROWTH` of: the largest gradient by a state; for controls, the
+    sum of its absolute terms; for the relative change of a parameter, the changes of all steps.
     given_size: the size of the given gradient, (n,).
     """
     most = np.maximum(given_size, back.sizes.max(axis=1, initial=0.0))
     both = finer.ctrl[:, ::2] + finer.ctrl[:, 1::2]
     parts = {
-        "the initial state": _distance(back.rows[:, 0], finer.rows[:, 0], most / GROWTH),
-        "the controls": _distance(back.ctrl, both, back.ctrl_terms / GROWTH),
+        "the initial state": _distance(back.rows[:, 0], finer.rows[:, 0], most / MAX_GROWTH),
+        "the controls": _distance(back.ctrl, both, back.ctrl_terms / MAX_GROWTH),
     }
     changes = np.sum(np.abs(back.after * steps.changes()), axis=(1, 2))
     for k, column in enumerate(steps.by):
-        least = changes / GROWTH / abs(column.value)
+        least = changes / MAX_GROWTH / abs(column.value)
         parts[f"`{column.label}`"] = _distance(back.values[:, k], finer.values[:, k], least)
     return parts
 
@@ -470,7 +469,7 @@ def _at(steps: Steps, world: int, step: int, back: bool = False) -> str:
     words = f"step {step} [{steps.time + step * dt:.4g} s]" + " on its way back" * back
     touches = _touching(steps, world)
     # In steps half as long, an impact of a few steps may end earlier or start later.
-    near = range(max(0, step - NEAR), min(step + NEAR, steps.count))
+    near = range(max(0, step - NEAR_STEPS), min(step + NEAR_STEPS, steps.count))
     k = next((k for k in sorted(near, key=lambda k: abs(k - step)) if touches(k)), None)
     if k is None:
         return words

@@ -141,7 +141,7 @@ class Linearizations(Sequence[Linearization]):
         if isinstance(index, slice):
             return [self[k] for k in range(*index.indices(len(self)))]
         world = range(len(self))[index]
-        ids = tuple(element for own, _, element in self._degenerate if own == world)
+        ids = tuple(element for other, _, element in self._degenerate if other == world)
         return Linearization(
             self.A[world],
             self.B[world],
@@ -176,7 +176,7 @@ def linear_step(model: Model, core: Any, by: Sequence[Column]) -> LinearSteps:
     around = models_around(model, by)
     with _named_parameters(by):
         numbers, degenerate = core.linearize(around)
-    apart = np.array([column.apart for column in by])
+    apart = np.array([column.spacing for column in by])
     return _split(numbers[None, None], apart, [(0, 0, element) for element in degenerate])
 
 
@@ -228,7 +228,7 @@ class LinearWorlds:
                     world = self.first + self.of.index(k)
                     raise ValueError(f"{error} (world {world})") from None
                 around.append(models_around(model, labelled))
-                apart[k] = [column.apart for column in labelled]
+                apart[k] = [column.spacing for column in labelled]
             self._by = labels, around, apart[self.of]
         return self._by[1:]
 

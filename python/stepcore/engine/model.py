@@ -28,7 +28,7 @@ from stepcore.engine.compilation import bare, compiled_once, compiled_pickle
 from stepcore.engine.run_settings import in_metres
 from stepcore.engine.tables import ContactPair, Keyframe, Touches
 from stepcore.scene import gc_pause
-from stepcore.scene.value_paths import changed
+from stepcore.scene.value_paths import changed_scene
 from stepcore.signatures import refuse_unknown_settings, takes_settings
 
 if TYPE_CHECKING:
@@ -229,7 +229,7 @@ class Model(checks.KnownNames):
         Raises ValueError for an unknown kind.
         """
         if checks.word("kind", kind) not in self._called:
-            nearest = checks.nearest(kind, self._called, listed=len(self._called))
+            nearest = checks.nearest(kind, self._called, limit=len(self._called))
             raise ValueError(f"kind: no elements are called {checks.quoted(kind)}{nearest}")
         return self._called[kind]
 
@@ -440,7 +440,7 @@ class Model(checks.KnownNames):
         Raises ValueError, with the nearest names, for an unknown kind, name or field, and for an
         invalid value.
         """
-        return Model(changed(self._scene, values, self.masses()), self._settings)
+        return Model(changed_scene(self._scene, values, self.masses()), self._settings)
 
     def masses(self) -> dict[str, float]:
         """Return the mass of each body [kg], by name."""
@@ -490,9 +490,9 @@ class Model(checks.KnownNames):
 
     def _repr_html_(self) -> str | None:
         from stepcore.engine.sim import Sim
-        from stepcore.viewing.notebook import shown
+        from stepcore.viewing.notebook import html_picture
 
-        return shown(self, self.ngeom, lambda: Sim(self))
+        return html_picture(self, self.ngeom, lambda: Sim(self))
 
 
 def _unpickled(pickled: bytes, settings: Settings) -> Model:

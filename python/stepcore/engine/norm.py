@@ -127,24 +127,24 @@ def _joined(arrays: Sequence[np.ndarray | None]) -> np.ndarray | None:
     return np.concatenate(some) if len(some) == len(arrays) else None
 
 
-def apart(a: Tracks, b: Tracks, matter: Matter) -> np.ndarray:
+def distances(a: Tracks, b: Tracks, matter: Matter) -> np.ndarray:
     """Return the distance of each body at every sample [m], (starts, n, bodies).
 
     The distance is infinite at samples that a run has not reached.
     """
     with np.errstate(over="ignore", invalid="ignore"):
-        far = np.hypot(length(a.com - b.com), matter.gyration * arc(a.quat, b.quat))
+        far = np.hypot(vector_norm(a.com - b.com), matter.gyration * arc(a.quat, b.quat))
     far[np.isnan(far)] = np.inf
     return far
 
 
 def arc(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return the angle between orientations [rad]; quaternions: (…, 4)."""
-    half = np.minimum(length(a - b), length(a + b))
+    half = np.minimum(vector_norm(a - b), vector_norm(a + b))
     return np.asarray(4 * np.arcsin(np.minimum(half / 2, 1.0)))
 
 
-def length(vectors: np.ndarray) -> np.ndarray:
+def vector_norm(vectors: np.ndarray) -> np.ndarray:
     """Return the norm over the last axis, in half the time of numpy.linalg for a few bodies."""
     return np.asarray(np.sqrt((vectors * vectors).sum(axis=-1)))
 
@@ -152,7 +152,7 @@ def length(vectors: np.ndarray) -> np.ndarray:
 def rms(far: np.ndarray, scored: np.ndarray | None = None) -> np.ndarray:
     """Return the RMS distance over samples and bodies, of every start [m], (starts,).
 
-    far: the distances from `apart`. scored: the samples that count, (starts, n); by default all.
+    far: from `distances`. scored: the samples that count, (starts, n); by default all.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         squares = np.mean(far**2, axis=2)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 # The model is compiled at these multiples of a fraction of a value around it. The derivative of
 # 1/p³ then has a relative error of 2e-12, and of 1e-12 from rounding.
 AROUND = (-2, -1, 1, 2)
-SHARE = 2.0**-11
+SPACING = 2.0**-11
 # Impedances are clamped at 0.0001 and 0.9999; the models around a value must be inside.
 CLAMPED = 0.00011
 ENTRY = re.compile(r"(.*)\[(\d+)\]")
@@ -329,22 +329,22 @@ class Column:
         return self.path if self.entry is None else f"{self.path}[{self.entry}]"
 
     @property
-    def clamped(self) -> bool:
+    def is_clamped(self) -> bool:
         """Whether it is an impedance or its midpoint, which steps clamp to 0.0001 … 0.9999."""
         return _is_impedance(self.path) and self.entry in (0, 1, 3)
 
     @property
-    def apart(self) -> float:
+    def spacing(self) -> float:
         """The distance between the values around the model's value."""
-        near = min(self.value, 1.0 - self.value) if self.clamped else abs(self.value)
-        return near * SHARE
+        near = min(self.value, 1.0 - self.value) if self.is_clamped else abs(self.value)
+        return near * SPACING
 
     def check(self) -> None:
         """Raise ValueError for a number by which no step is differentiated."""
         limit = None
         if self.value == 0 or not np.isfinite(self.value):
             limit = "finite and not zero: what is zero is left out of a step"
-        elif self.clamped and not CLAMPED < self.value < 1 - CLAMPED:
+        elif self.is_clamped and not CLAMPED < self.value < 1 - CLAMPED:
             limit = f"between {CLAMPED} and {1 - CLAMPED}: steps clamp it"
         if limit:
             raise ValueError(f"parameters: {self.label} = {self.value:g}: must be {limit}")
@@ -368,7 +368,7 @@ def named_columns(model: Model, parameters: Sequence[str]) -> list[Column]:
 
     Raises ValueError for an unknown path.
     """
-    names = checks.listed(parameters) if not isinstance(parameters, str) else [parameters]
+    names = checks.as_list(parameters) if not isinstance(parameters, str) else [parameters]
     if names is None or not all(isinstance(name, str) for name in names):
         raise ValueError(f"parameters = {checks.shown(parameters)}: must be paths of values")
     by_label: dict[str, Column] = {}
@@ -438,7 +438,7 @@ def models_around(model: Model, by: Sequence[Column]) -> list[list[_core.Model]]
         around: list[_core.Model] = []
         for k in AROUND:
             value = own_value(model, column.path)
-            value[() if column.entry is None else column.entry] = column.value + k * column.apart
+            value[() if column.entry is None else column.entry] = column.value + k * column.spacing
             # Values between two valid values, or closer to zero, are valid too.
             checked = k == max(AROUND)
             try:

@@ -23,15 +23,8 @@ if TYPE_CHECKING:
     from stepcore.engine.model import Model
     from stepcore.engine.tables import ContactPair
 
-# Limit of dt·c/m, the removed over the remaining velocity, if an integrator damps after the rows:
-# two light slides in a closed loop hold at 5 and diverge at 10 (`tests/engine/test_pitfalls.py`).
-DAMPED = 5.0
-# Larger depths are not reported as numbers [m].
-FARTHEST = 10.0
 # Contacts of a body at rest, which share its weight; other shapes have one per corner of a face.
-CONTACTS, FACE = {"sphere": 1, "ellipsoid": 1, "capsule": 2}, 4
-# The number of pairs of a pile that are examined; pairs of the floor with a geom come first.
-HEAP = 2000
+CONTACTS = {"sphere": 1, "ellipsoid": 1, "capsule": 2}
 # Texts of earlier warnings: a measurement creates many Sims of a model.
 _warned_texts: set[str] = set()
 
@@ -108,7 +101,7 @@ def soft_pyramids(model: Model) -> Iterator[str]:
         slope, time = np.float64(friction), np.float64(time)
         with np.errstate(all="ignore"):
             stiffness = 1 / (d * time * ratio) ** 2 if time > 0 else -time / d**2
-            soft = slope**2 * (1 + slope**2) / 2 / CONTACTS.get(geom.type, FACE)
+            soft = slope**2 * (1 + slope**2) / 2 / CONTACTS.get(geom.type, 4)
             depth = soft * (1 - d) * gravity / (stiffness * d**2)
         thin = size[size > 0].min(initial=np.inf)
         if depth > thin:
@@ -116,7 +109,8 @@ def soft_pyramids(model: Model) -> Iterator[str]:
     if deepest:
         _, depth, friction, index = max(deepest)
         name = model.element_name("geom", index)
-        far = f"by about {metres(depth)}" if depth < FARTHEST else "without end"
+        # Depths above 10 m are not reported as numbers.
+        far = f"by about {metres(depth)}" if depth < 10.0 else "without end"
         yield (
             f"friction {friction:g} makes the pyramids of {name} soft: under its weight it sinks "
             f'{far}; cone="elliptic" holds it'
@@ -125,7 +119,8 @@ def soft_pyramids(model: Model) -> Iterator[str]:
 
 def _pairs(model: Model, geoms: int) -> Iterator[ContactPair]:
     """Yield the pairs that can meet; in a pile, which lists none, the pairs of its first geoms."""
-    for index in range(min(geoms**2, HEAP) if model.is_heap else model.npair):
+    # Of a pile 2000 pairs are examined; pairs of the floor with a geom come first.
+    for index in range(min(geoms**2, 2000) if model.is_heap else model.npair):
         with contextlib.suppress(ValueError):
             yield model.contact_pair(index)
 
@@ -147,7 +142,9 @@ def undone_rows(model: Model) -> Iterator[str]:
         if gain.element[0] in hidden:
             rates[gain.along] = rates.get(gain.along, 0.0) + gain.mobility * gain.damping
     worst = max(rates, key=rates.__getitem__, default=("joint", 0))
-    if settings.dt * rates.get(worst, 0.0) > DAMPED:
+    # Limit of dt·c/m, the removed over the remaining velocity, if an integrator damps after the
+    # rows: two light slides in a closed loop hold at 5 and diverge at 10 (`tests/engine`).
+    if settings.dt * rates.get(worst, 0.0) > 5.0:
         times = f"{settings.dt * rates[worst]:.3g}"
         name = model.element_name(*worst)
         yield (

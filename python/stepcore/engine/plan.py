@@ -30,8 +30,6 @@ from stepcore.scene.layout import Layout
 if TYPE_CHECKING:
     from stepcore.engine.model import Model
 
-# The number of entries in a table without --all.
-PRINTED = 9
 LEGEND = (
     "flops: floating-point operations of the entry's own stage, or those saved by removing the "
     "entry. They do not add up, because some work serves several entries."
@@ -146,7 +144,7 @@ class Plan(Result):
 
     def tables(self, full: bool) -> list[Table]:
         """Return tables of used and omitted work; `full`: all entries and elements."""
-        printed = len(self.entries) if full else PRINTED
+        printed = len(self.entries) if full else 9
         does = _table(self.used, "Computed in a step", printed, lambda entry: entry.flops or 0.0)
         less = LESS * any(str(row.get("flops")).startswith("-") for row in does)
         does.legend = f"{does.legend} {LEGEND}{less}".strip()
@@ -210,12 +208,12 @@ STAGES = ("files", "place", "detect", "solve", "commit")
 def planned(model: Model, sim: Sim | None, time: bool) -> Plan:
     """Create the plan of a model; see `stepcore.plan`."""
     cost = StepCost(model, sim, time)
-    listed = [cost.priced(*each) for each in entries(model, cost.settings, cost.rows())]
+    priced = [cost.priced(*each) for each in entries(model, cost.settings, cost.rows())]
     source = model.scene._source
     return Plan(
         name=model.scene.name or "scene",
         settings=cost.settings,
-        entries=sorted(listed, key=lambda entry: STAGES.index(entry.stage)),
+        entries=sorted(priced, key=lambda entry: STAGES.index(entry.stage)),
         flops=cost.flops,
         stages=cost.stages,
         micros=cost.micros,
@@ -264,7 +262,7 @@ def entries(model: Model, settings: Settings, rows: Counter[str]) -> Iterator[Li
     parts = (listing.files, listing.engine, listing.sites, listing.unmet, listing.surfaces)
     for part in parts:
         # Work without elements in the scene is neither used nor left out.
-        yield from (listed for listed in part() if listed[0].count)
+        yield from (entry for entry in part() if entry[0].count)
 
 
 class _Listing:
@@ -291,10 +289,10 @@ class _Listing:
 
     def engine(self) -> Iterator[Listed]:
         """Yield the entries of the engine's plan, with names."""
-        listed = self.model.core.entries(self.settings)
+        records = self.model.core.entries(self.settings)
         # Contacts with friction, by the number of their rows.
-        ways = sum(_has_friction(entry[2]) for entry in listed)
-        for stage, kind, name, owner, elements, count, used, why, rows in listed:
+        ways = sum(_has_friction(entry[2]) for entry in records)
+        for stage, kind, name, owner, elements, count, used, why, rows in records:
             names = tuple(self._names(owner, elements))
             number = self.row_count[rows] if rows is not None else None
             stages = _first(OWN_STAGES, name) or () if used else ()
@@ -384,7 +382,7 @@ def _entry(
 
 
 # The number of steps of a timing; timings are interleaved with timings of the complete model.
-STEPS = 20
+TIMED_STEPS = 20
 
 
 class StepCost:
@@ -445,7 +443,7 @@ class StepCost:
             for sim, times in zip(sims, spent, strict=True):
                 self._place(sim)
                 begin = perf_counter()
-                sim.step(STEPS)
-                times.append((perf_counter() - begin) / STEPS)
+                sim.step(TIMED_STEPS)
+                times.append((perf_counter() - begin) / TIMED_STEPS)
         self.whole.restore(self.state)
         return [1e6 * float(np.median(times)) for times in spent]

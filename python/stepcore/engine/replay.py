@@ -83,18 +83,18 @@ class Replay:
         sim = _core.Sim(model, settings)
         sim.unwatch()
         sim.restore(self.state, None)
-        own = dict(sim.arrays())
+        sim_arrays = dict(sim.arrays())
         changes = {step: arrays for step, *arrays in self.inputs}
         time, energy, steps = list[float](), list[float](), list[dict[Any, float]]()
         # A replay that fails too early differs from the run.
         with contextlib.suppress(SimulationError):
             for step in range(self.steps):
-                _put(own, changes.get(step))
+                _put(sim_arrays, changes.get(step))
                 before, after, injected = sim.taped_step()
                 energy += [before, after] if step == 0 else [after]
                 time.append(sim.time)
                 steps.append(dict(injected))
-        _put(own, changes.get(self.steps))
+        _put(sim_arrays, changes.get(self.steps))
         work = {
             model.element_name(*element): np.array([step.get(element, 0.0) for step in steps])
             for element in sorted({element for injected in steps for element in injected})
@@ -102,7 +102,7 @@ class Replay:
         return PostMortem(
             name=self.name or "scene",
             replay=self,
-            same=_fails(self, sim, own),
+            same=_fails(self, sim, sim_arrays),
             time=np.array(time),
             energy=np.array(energy),
             work=work,
@@ -125,7 +125,7 @@ class Replay:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a file for `stepcore.replay` and ``stepcore replay FILE``."""
-        Path(files.path("path", path)).write_bytes(self.to_json().encode() + b"\n")
+        Path(files.as_path("path", path)).write_bytes(self.to_json().encode() + b"\n")
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Replay:
@@ -136,8 +136,8 @@ class Replay:
         Raises a one-line ValueError for a file that is no replay file, was changed or has another
         version; FileNotFoundError for a missing file; IsADirectoryError for a folder.
         """
-        shown = checks.cut(files.path("path", path), 300)
-        text = files.read(path, "a replay file")
+        shown = checks.cut(files.as_path("path", path), 300)
+        text = files.contents(path, "a replay file")
         try:
             data = json.loads(text)
         except (ValueError, RecursionError):
@@ -146,8 +146,8 @@ class Replay:
             raise ValueError(f"{shown}: not a replay file")
         version = data.get("version")
         if version != VERSION:
-            what = f"version {checks.shown(version)} of a replay file"
-            raise ValueError(f"{shown}: {what}; this stepcore reads version {VERSION}")
+            other = f"version {checks.shown(version)} of a replay file"
+            raise ValueError(f"{shown}: {other}; this stepcore reads version {VERSION}")
         check = CHECK.format(data.get("check")).encode()
         blank = text.removesuffix(b"\n").replace(check, CHECK.format("").encode(), 1)
         if check != CHECK.format(_checksum(blank)).encode():
@@ -264,11 +264,11 @@ class PostMortem(Result):
     def sentences(self) -> list[str]:
         """The text of the error, and whether the replay reproduced the failure."""
         text, replay = self.paragraph, self.replay
-        again = f"The replay fails again after {replay.steps} steps, with the same bits."
+        outcome = f"The replay fails again after {replay.steps} steps, with the same bits."
         if not self.same:
             step = replay.happened["step"]
-            again = f"The replay does not fail in step {step} with the same bits as the run."
-        sentences = [text[:1].upper() + text[1:].removesuffix(".") + ".", again]
+            outcome = f"The replay does not fail in step {step} with the same bits as the run."
+        sentences = [text[:1].upper() + text[1:].removesuffix(".") + ".", outcome]
         if not len(self.time):
             sentences.append(
                 "With ledger=True in its settings a run records the steps before a failure."

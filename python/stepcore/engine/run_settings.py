@@ -15,9 +15,6 @@ if TYPE_CHECKING:
     from stepcore.scene.scene import Scene
     from stepcore.signatures import SettingsFields
 
-# Limit of Newton iterations: Newton converges in about ten iterations, or not at all.
-NEWTON = 200
-
 
 def converged_settings(
     settings: Settings,
@@ -44,7 +41,8 @@ def converged_settings(
         changes["refsafe"] = refsafe
     return settings.replace(
         solver="newton" if convex else "pgs",
-        sweeps=NEWTON if convex else sweeps,
+        # Newton converges in about ten iterations, or not at all.
+        sweeps=200 if convex else sweeps,
         tolerance=tolerance,
         acceleration="none",
         precision="f64",

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from stepcore import _core, checks
 from stepcore._core import Settings, SimulationError
-from stepcore.engine.arrays import Floats, kept, snapshot
+from stepcore.engine.arrays import Floats, snapshot, snapshot_with
 from stepcore.engine.element import Element, ElementSlopes, element_slopes
 from stepcore.engine.error_bar import ErrorBar, FinerRun
 from stepcore.engine.linearization import Linearization, Linearizations, linear_step
@@ -213,7 +213,7 @@ class Sim(World):
         started: after `restore`, in a copy and after unpickling, ``qacc``, contacts, rows and
         forces describe that solve. Plain bytes with the same content restore the state alone.
         """
-        return kept(self._core.state(), self._core.last())
+        return snapshot_with(self._core.state(), self._core.last())
 
     def restore(self, state: bytes) -> None:
         """Restore a snapshot from `state`; the motion then continues bit-identically.
@@ -277,9 +277,9 @@ class Sim(World):
 
         Needs the extra "view".
         """
-        from stepcore.viewing.live import opened, view_sim
+        from stepcore.viewing.live import announced, view_sim
 
-        return opened(view_sim(self, host, port), wait)
+        return announced(view_sim(self, host, port), wait)
 
     # The present state.
 
@@ -482,9 +482,9 @@ class Sim(World):
         return f"<Sim{name}: time {self.time:g} s; {self.settings!r}>"
 
     def _repr_html_(self) -> str | None:
-        from stepcore.viewing.notebook import shown
+        from stepcore.viewing.notebook import html_picture
 
-        return shown(self, self._model.ngeom, lambda: self)
+        return html_picture(self, self._model.ngeom, lambda: self)
 
 
 def unwatched(sim: Sim) -> Sim:
@@ -493,7 +493,7 @@ def unwatched(sim: Sim) -> Sim:
     return sim
 
 
-def touches(sim: Sim) -> tuple[list[tuple[int, int]], Floats]:
+def touching_geoms(sim: Sim) -> tuple[list[tuple[int, int]], Floats]:
     """Return the geoms and the distance [m] of each contact; faster than `Sim.contacts`."""
     _, pairs, numbers = sim._core.contacts()
     return pairs, numbers[:, 0]

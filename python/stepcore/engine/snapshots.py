@@ -8,10 +8,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from stepcore.engine.world import World
 
-# Snapshots per second of motion, their maximum number, and their maximum memory [bytes] per run.
+# Snapshots per second of motion.
 RATE = 60.0
-MOST = 6000
-MEMORY = 2**28
 
 
 @dataclass(frozen=True, repr=False)
@@ -44,7 +42,8 @@ class Taking:
         self.sim = sim
         self.states: list[bytes] = []
         size: int = len(self.sim.state())
-        most = max(2, min(MOST, MEMORY // size))
+        # At most 6000 snapshots and 256 MiB a run.
+        most = max(2, min(6000, 2**28 // size))
         self.steps = steps
         self.stride = max(1, round(1 / (RATE * sim.settings.dt)), -(-steps // most))
 

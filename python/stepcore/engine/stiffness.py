@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from stepcore.scene.scene import Scene
 
 # Shorter steps are not reported as numbers [s].
-SHORTEST = 1e-6
+SHORTEST_DT = 1e-6
 # A scene with more joints or geoms is not compiled by `load`.
-LARGE = 1000
+LARGE_SCENE = 1000
 
 
 class StiffnessWarning(UserWarning):
@@ -149,7 +149,7 @@ def estimate(scene: Scene) -> str:
     acts = any(joint.sprung or joint.damped for joint in scene.joints)
     acts = acts or any(tendon.sprung or tendon.damped for tendon in scene.tendons)
     acts = acts or any(actuator.type != "motor" for actuator in scene.actuators)
-    large = max(len(scene.joints), len(scene.geoms)) > LARGE
+    large = max(len(scene.joints), len(scene.geoms)) > LARGE_SCENE
     if scene.settings.accuracy is not None or large or not acts:
         return ""
     model = scene.compile()
@@ -159,8 +159,8 @@ def estimate(scene: Scene) -> str:
     if element is None or limit >= dt:
         return ""
     cause = f"alone limits dt to {seconds(limit)}"
-    if limit < SHORTEST:
-        cause = f"alone makes every step unstable, down to {seconds(SHORTEST)}"
+    if limit < SHORTEST_DT:
+        cause = f"alone makes every step unstable, down to {seconds(SHORTEST_DT)}"
     cause = f"{Elements([element]).name} {cause}"
     advice = "(run stepcore diagnose, which runs the motion)"
     return f"dt {seconds(dt)} may be unstable under {settings.integrator}: {cause} {advice}"

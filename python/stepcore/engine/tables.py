@@ -124,8 +124,8 @@ def contact_table(
     geoms = np.array(pairs, dtype=np.int32).reshape(-1, 2).T
     table = np.zeros(len(pairs), _contact_type(max(map(len, geom_names), default=0) or 1))
     _put_elements(table, elements)
-    for k, own in enumerate(geoms, 1):
-        table[f"geom{k}"], table[f"name{k}"] = own, [geom_names[geom] for geom in own]
+    for k, indices in enumerate(geoms, 1):
+        table[f"geom{k}"], table[f"name{k}"] = indices, [geom_names[geom] for geom in indices]
     table["dist"] = numbers[:, 0]
     for k, field in enumerate(VECTORS):
         table[field] = numbers[:, 1 + 3 * k : 4 + 3 * k]

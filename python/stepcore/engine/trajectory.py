@@ -18,8 +18,8 @@ from stepcore import checks, files
 from stepcore._core import Settings
 from stepcore.engine.arrays import STATE, Floats, numbers
 from stepcore.engine.axes import UNITS, Axis, axes_of
-from stepcore.engine.control import controls, not_finite
-from stepcore.engine.error_bar import driven, judged
+from stepcore.engine.control import evaluate_control, not_finite
+from stepcore.engine.error_bar import driven_finer, recorded_names
 from stepcore.engine.snapshots import RATE, Snapshots, Taking
 from stepcore.engine.unsolved import LOOKS, Residuals
 from stepcore.engine.world import READINGS, World
@@ -179,7 +179,7 @@ class Trajectory:
         >>> Trajectory.load("drop.npz")["qpos"].shape
         (251, 1)
         """
-        target = files.path("path", path)
+        target = files.as_path("path", path)
         if target.lower().endswith(OTHERS):
             limit = "must end in .npz or .csv"
             frame = "to_pandas() has the frame that pandas writes in other formats"
@@ -214,13 +214,13 @@ class Trajectory:
         Raises ValueError for another or a damaged file, FileNotFoundError for a missing file and
         IsADirectoryError for a folder.
         """
-        shown = checks.cut(source := files.path("path", path), 300)
+        shown = checks.cut(source := files.as_path("path", path), 300)
         arrays = files.arrays(source, "a trajectory")
         if str(arrays.get("kind")) != KIND:
             raise ValueError(f"{shown}: is not a trajectory; `Trajectory.save` writes them")
         if str(arrays.get("version")) != str(VERSION):
-            what = f"version {checks.cut(str(arrays.get('version')), 80)} of a trajectory"
-            raise ValueError(f"{shown}: {what}; this stepcore reads version {VERSION}")
+            other = f"version {checks.cut(str(arrays.get('version')), 80)} of a trajectory"
+            raise ValueError(f"{shown}: {other}; this stepcore reads version {VERSION}")
         try:
             return cls._of(arrays)
         except (ValueError, TypeError, KeyError, OverflowError):
@@ -247,7 +247,7 @@ class Trajectory:
         """Return the values over time by names such as "qpos[knee]", each of shape (n,)."""
         columns: dict[str, NDArray[Any]] = {}
         for name, recorded in self.data.items():
-            values = acting(name, recorded)
+            values = from_instant(name, recorded)
             entries = [axis.entries for axis in self.axes(name)]
             for index in np.ndindex(*values.shape[1:]):
                 entry = ", ".join(names[k] for names, k in zip(entries, index, strict=True))
@@ -290,15 +290,15 @@ class Trajectory:
 
         Raises ValueError for a trajectory without snapshots, and OSError.
         """
-        from stepcore.viewing.mcap_log import write
+        from stepcore.viewing.mcap_log import write_mcap
 
-        write(self._replayed(), self.time, self.data, path)
+        write_mcap(self._replayed(), self.time, self.data, path)
 
     def view(self, *, host: str = "localhost", port: int = 8080, wait: bool | None = None) -> View:
         """Open a page that replays the run, with a slider for time; see `stepcore.view`."""
-        from stepcore.viewing.live import opened, view_runs
+        from stepcore.viewing.live import announced, view_runs
 
-        return opened(view_runs([self._replayed()], host, port), wait)
+        return announced(view_runs([self._replayed()], host, port), wait)
 
     def save_html(
         self,
@@ -324,10 +324,10 @@ class Trajectory:
         >>> sim.reset(key="start")
         >>> sim.run(0.5).save_html("drop.html")
         """
-        from stepcore.viewing.live import several
+        from stepcore.viewing.live import labelled_runs
         from stepcore.viewing.page import save_page
 
-        save_page(several([self, *over], labels), path)
+        save_page(labelled_runs([self, *over], labels), path)
 
     def save_video(
         self,
@@ -367,16 +367,16 @@ class Trajectory:
         """Return the page of `save_html` for a notebook, if the run has at most 20 s."""
         if self.snapshots is None or len(self.snapshots.states) > 20 * RATE:
             return None
-        from stepcore.viewing.page import framed, page
+        from stepcore.viewing.page import framed, replay_page
 
         try:
-            text = page([self._replayed()])
+            text = replay_page([self._replayed()])
         except ImportError:
             return None
         return framed(text)
 
 
-def acting(array: str, values: NDArray[Any]) -> NDArray[Any]:
+def from_instant(array: str, values: NDArray[Any]) -> NDArray[Any]:
     """Return the values of a recorded array that apply from each instant on.
 
     An instant has the controls and the readings of the step before it. At the end the last controls
@@ -403,13 +403,13 @@ def record_run(
         checks.function("time", "sim")("run", "control", control)
     elif control is not None:
         control = _table(sim, control)
-    names = judged(sim, recordable(record))
+    names = recorded_names(sim, recordable(record))
     try:
         values = {name: np.asarray(getattr(sim, name)) for name in ("time", *names)}
         arrays = {n: np.empty((steps + 1, *v.shape), dtype=v.dtype) for n, v in values.items()}
     except MemoryError:
-        what = f"duration = {duration:g}: {steps} steps of {', '.join(names)} exceed the memory"
-        raise ValueError(f"{what}; run shorter pieces, or record less") from None
+        request = f"duration = {duration:g}: {steps} steps of {', '.join(names)} exceed the memory"
+        raise ValueError(f"{request}; run shorter pieces, or record less") from None
     for name, value in values.items():
         arrays[name][0] = value
     residuals, stride, snapshots = Residuals(sim), max(1, steps // LOOKS), Taking(sim, steps)
@@ -443,13 +443,13 @@ def pieces(
     looks = [*pauses, *([] if function is None else [hold])]
     looks += [] if snapshots is None else [snapshots.stride]
     done, names = 0, tuple(arrays)
-    with driven(sim, function) as beside:
+    with driven_finer(sim, function) as beside:
         while done < steps:
             yield done
             count, rows = min([steps - done, *(each - done % each for each in looks)]), None
             if function is not None and done % hold == 0:
                 beside()
-                sim.ctrl = controls(function, sim)
+                sim.ctrl = evaluate_control(function, sim)
             elif table is not None:
                 periods = np.arange(done, done + count) // hold
                 rows = table[np.minimum(periods, len(table) - 1)]
@@ -582,13 +582,13 @@ def sample_request(
     }
 
 
-def recordable(record: Sequence[str], known: Sequence[str] = RECORDED) -> tuple[str, ...]:
+def recordable(record: Sequence[str], allowed: Sequence[str] = RECORDED) -> tuple[str, ...]:
     """Return the names as a tuple, after checking that each can be recorded."""
-    names = [record] if isinstance(record, str) else checks.listed(record)
+    names = [record] if isinstance(record, str) else checks.as_list(record)
     if names is None or not all(isinstance(name, str) for name in names):
         raise ValueError(f'record = {checks.shown(record)}: must be names, such as ("qpos",)')
     for name in names:
-        if name not in known:
-            near = checks.nearest(name, known)
+        if name not in allowed:
+            near = checks.nearest(name, allowed)
             raise ValueError(f"record: {checks.quoted(name)} cannot be recorded{near}")
     return tuple(names)

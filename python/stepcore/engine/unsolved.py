@@ -16,12 +16,10 @@ if TYPE_CHECKING:
     from stepcore._core import Settings
     from stepcore.engine.arrays import Floats
 
-# The threshold of a large residual without gravity [m/s].
-WEIGHTLESS = 0.05
 # The approximate number of samples of a run, and the fewest with a meaningful median. A batch
 # samples after 64, 128, 256, … steps and warns of a world with this number of consecutive large
 # residuals.
-LOOKS, FEWEST, IN_A_ROW = 64, 16, 3
+LOOKS, FEWEST_LOOKS, IN_A_ROW = 64, 16, 3
 
 
 class UnsolvedWarning(UserWarning):
@@ -46,12 +44,12 @@ class Residuals:
     @property
     def typical(self) -> float:
         """The median of the samples [m/s]; 0 if there are too few samples."""
-        return float(np.median(self.seen)) if len(self.seen) >= FEWEST else 0.0
+        return float(np.median(self.seen)) if len(self.seen) >= FEWEST_LOOKS else 0.0
 
     def sentence(self, settings: Settings) -> str:
         """Return a sentence on unsolved rows and a fix; "" if there are none."""
         residual = self.worst if settings.sweeps == "auto" else self.typical
-        return unsolved(settings, self.row, residual) if residual > self.large else ""
+        return unsolved_sentence(settings, self.row, residual) if residual > self.large else ""
 
 
 class BatchResiduals:
@@ -76,11 +74,11 @@ class BatchResiduals:
         if self.large[world] < IN_A_ROW:
             return ""
         self.warned = True
-        text = unsolved(batch.settings, _worst(batch.rows[world]), float(residual[world]))
+        text = unsolved_sentence(batch.settings, _worst(batch.rows[world]), float(residual[world]))
         return f"world {world}: {text}"
 
 
-def unsolved(settings: Settings, row: str, residual: float) -> str:
+def unsolved_sentence(settings: Settings, row: str, residual: float) -> str:
     """Return a sentence on rows that stay unsolved."""
     # Imported here because only the warning needs the units.
     from stepcore.report.units import speed
@@ -100,7 +98,8 @@ def _large(sim: Any) -> float:
     """Return the threshold of the warning [m/s]: the speed that gravity adds in one step."""
     scene = sim.model.scene
     speed = float(np.linalg.norm(scene.gravity)) * sim.settings.dt
-    return speed if scene.features.gravity and speed > 0 else WEIGHTLESS
+    # Without gravity 50 mm/s is a large residual.
+    return speed if scene.features.gravity and speed > 0 else 0.05
 
 
 def _worst(rows: Any) -> str:

@@ -115,9 +115,9 @@ class World(checks.KnownNames, ABC):
         "Forces of springs and dampers of joints and tendons [N or N·m], shape (nv,). MuJoCo calls "
         "them qfrc_passive."
     )
-    M = readout("MuJoCo's name for `mass_matrix()`; every entry, shape (nv, nv).", of="mass_matrix")
-    qfrc_bias = readout("MuJoCo's name for `bias`.", of="bias")
-    qfrc_passive = readout("MuJoCo's name for `passive`.", of="passive")
+    M = readout("MuJoCo's name for `mass_matrix()`: all entries, (nv, nv).", alias="mass_matrix")
+    qfrc_bias = readout("MuJoCo's name for `bias`.", alias="bias")
+    qfrc_passive = readout("MuJoCo's name for `passive`.", alias="passive")
 
     # Readouts of the last step or forward().
     qacc = readout("Accelerations of the last solve [m/s² or rad/s²], shape (nv,).")
@@ -125,7 +125,7 @@ class World(checks.KnownNames, ABC):
         "Force of all constraint rows on the dofs, Jᵀλ/dt, and of contacts under the law penalty "
         "[N or N·m], shape (nv,). MuJoCo calls it qfrc_constraint."
     )
-    qfrc_constraint = readout("MuJoCo's name for `constraint_force`.", of="constraint_force")
+    qfrc_constraint = readout("MuJoCo's name for `constraint_force`.", alias="constraint_force")
     cacc = readout(
         "Acceleration of each body in the last solve, written as `cvel` is [rad/s², m/s²], shape "
         "(nbody, 6). Gravity counts as an upward acceleration: a body at rest has +9.81. The "
@@ -404,7 +404,7 @@ class World(checks.KnownNames, ABC):
 
 # The arrays that can be recorded: the state, the inputs and the readouts.
 READINGS = tuple(
-    name for name, own in vars(World).items() if isinstance(own, StateArray | ReadOnly)
+    name for name, value in vars(World).items() if isinstance(value, StateArray | ReadOnly)
 )
 
 
@@ -421,7 +421,7 @@ def _groups(groups: Sequence[int] | None) -> list[bool] | None:
     """Return, for each group of geoms, whether it can be hit; None for all."""
     if groups is None:
         return None
-    seen = checks.listed(groups) or [None]
+    seen = checks.as_list(groups) or [None]
     if any(isinstance(group, bool) or group not in range(6) for group in seen):
         raise checks.refuse("ray", "groups", groups, "integers from 0 to 5")
     return [group in seen for group in range(6)]

@@ -20,8 +20,8 @@ WORDS: Mapping[str, Callable[[float], str]] = {"m": metres, "s": seconds}
 class Answer(Result):
     """The answer to a user's question; `Study.answer` returns it.
 
-    subject: the quantity measured. said: the answer in sentences. rows: the numbers, by column; an
-    infinite number marks a failed run.
+    subject: the quantity measured. answer: the answer in sentences. rows: the numbers, by column;
+    an infinite number marks a failed run.
     of_columns: the units of columns. axes: the columns along the axes of the plot.
     motion: the motion of the study. settings: the settings as shipped.
     """
@@ -29,7 +29,7 @@ class Answer(Result):
     kind = "answer"
 
     subject: str
-    said: list[str]
+    answer: list[str]
     rows: Sequence[Mapping[str, Any]]
     of_columns: Mapping[str, str]
     axes: tuple[str, str]
@@ -44,7 +44,7 @@ class Answer(Result):
     @property
     def sentences(self) -> list[str]:
         """The answer."""
-        return self.said
+        return self.answer
 
     @property
     def table(self) -> Table:

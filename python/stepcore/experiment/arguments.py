@@ -149,17 +149,17 @@ def set_up(
     engine: "stepcore" or "mujoco".
     """
     motion = Motion.of(motion, {k: v for k, v in fields.items() if k not in SHARED}, called)
-    made = engine_of(model, engine, motion)
-    asked = made.settings(Change()).accuracy
-    if asked is not None and called.__name__ not in WITHIN_ACCURACY:
+    simulator = engine_of(model, engine, motion)
+    tolerance = simulator.settings(Change()).accuracy
+    if tolerance is not None and called.__name__ not in WITHIN_ACCURACY:
         limit = f"None: {called.__name__} regards steps of a fixed length; stepcore.trade does not"
-        raise ValueError(f"accuracy = {asked:g}: must be {limit}")
+        raise ValueError(f"accuracy = {tolerance:g}: must be {limit}")
     shared = (fields.get(name) for name in ("threads", "executor", "progress"))
     workers = Workers.checked(called.__name__, *shared)
-    if not made.nv:
+    if not simulator.nv:
         raise ValueError(
             "the scene has no joint, so nothing in it can move: add a body with a joint"
         )
-    if not made.matter.moving:
+    if not simulator.matter.moving:
         raise ValueError(f"nothing in the scene can move: there is {missing}")
-    return Setup(made, motion, workers)
+    return Setup(simulator, motion, workers)

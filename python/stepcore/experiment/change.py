@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
 import numpy as np
 
 from stepcore import checks
-from stepcore.engine.element import listed
+from stepcore.engine.element import name_list
 from stepcore.engine.features import Removal, without
 from stepcore.engine.model import Model
-from stepcore.mjcf.option import said, shortest
+from stepcore.mjcf.option import as_option, shortest
 from stepcore.report.settings import label
 from stepcore.report.units import metres, seconds, time
 from stepcore.scene.elements.actuator_laws import ALL_LAW_FIELDS
@@ -78,17 +78,17 @@ class Change:
         servos: Iterable[Servo] = (),
         **settings: Unpack[SettingsFields],
     ) -> None:
-        own = {path: _constant(value) for path, value in (values or {}).items()}
+        constants = {path: _constant(value) for path, value in (values or {}).items()}
         # A string names a feature for which the scene has a flag.
         removed = {
-            Removal(one, "", (("feature", one),)) if isinstance(one, str) else one
-            for one in without
+            Removal(item, "", (("feature", item),)) if isinstance(item, str) else item
+            for item in without
         }
         fields: dict[str, Any] = {**settings}
         if isinstance(fields.get("dt"), str):
             fields["dt"] = time("dt", fields["dt"])
         object.__setattr__(self, "settings", tuple(sorted(fields.items())))
-        object.__setattr__(self, "values", tuple(sorted(own.items())))
+        object.__setattr__(self, "values", tuple(sorted(constants.items())))
         object.__setattr__(self, "without", tuple(sorted(removed, key=lambda r: r.label)))
         object.__setattr__(self, "servos", tuple(servos))
 
@@ -137,8 +137,8 @@ class Change:
         """
         if self.without:
             # A removal may be a setting, such as warm start.
-            own = model.scene.with_settings(model.settings)
-            model = without(own, self.without).compile()
+            scene = model.scene.with_settings(model.settings)
+            model = without(scene, self.without).compile()
         if self.values:
             model = model.with_values(dict(self.values))
         if self.servos:
@@ -175,7 +175,7 @@ class Change:
 
         Comments list the parts that MJCF cannot express.
         """
-        attributes, flags, rest = said(dict(self.settings))
+        attributes, flags, rest = as_option(dict(self.settings))
         lines = []
         if attributes or flags:
             inner = f"<flag {_attributes(flags)}/>" if flags else ""
@@ -194,8 +194,8 @@ class Change:
             head = kind if unnamed else f'{kind} name="{name}"' if name else "option"
             lines.append(f"<{head} {_attributes(fields)}/>{unnamed}")
         for servo in self.servos:
-            known = {"name": servo.actuator, **_law(servo)}.items()
-            fields = {name: _number(value) for name, value in known if value is not None}
+            law = {"name": servo.actuator, **_law(servo)}.items()
+            fields = {name: _number(value) for name, value in law if value is not None}
             lines.append(f"<general {_attributes(fields)}/>")
         lines += [f"<!-- without {removal.label} -->" for removal in self.without]
         lines += [f"<!-- {name} = {value} -->" for name, value in rest.items()]
@@ -239,8 +239,8 @@ def powered(model: Model) -> Model:
     if model.nu:
         return model
     source, joints = model.scene._source, Layout(model.scene).joints
-    led = [one.joint1 for one in model.scene.equalities if one.type == "joint" and one.active]
-    free = [k for k, joint in enumerate(joints) if not any(joint is one for one in led)]
+    led = [tie.joint1 for tie in model.scene.equalities if tie.type == "joint" and tie.active]
+    free = [k for k, joint in enumerate(joints) if not any(joint is other for other in led)]
     bounded = [k for k in free if joints[k].actuatorfrcrange is not None]
     ranged = [k for k in free if joints[k].range is not None and k not in bounded]
     if source is None or not source.urdf:
@@ -251,16 +251,16 @@ def powered(model: Model) -> Model:
         return model
     called, why = model.called("joint"), list[str]()
     if bounded:
-        named = listed(called[k] for k in bounded)
+        named = name_list(called[k] for k in bounded)
         why.append(f"the joints whose effort is bounded: {named}")
     if ranged:
-        named = listed(called[k] for k in ranged)
+        named = name_list(called[k] for k in ranged)
         none = "no effort of theirs" if bounded else "no effort"
         why.append(f"joints with a range, without bounds, because the file bounds {none}: {named}")
-    made = with_motors(model, sorted(bounded + ranged))
-    made.scene._powered = True
-    made.scene.notes.insert(0, f"motors were made for {'; for '.join(why)}")
-    return made
+    powered_model = with_motors(model, sorted(bounded + ranged))
+    powered_model.scene._powered = True
+    powered_model.scene.notes.insert(0, f"motors were made for {'; for '.join(why)}")
+    return powered_model
 
 
 def with_motors(model: Model, joints: Sequence[int], others: Sequence[int] = ()) -> Model:
@@ -304,7 +304,7 @@ def _setting(name: str, value: Any) -> str:
 
 def _number(value: Any) -> str:
     if isinstance(value, tuple):
-        return " ".join(_number(one) for one in value)
+        return " ".join(_number(entry) for entry in value)
     if isinstance(value, bool):
         return str(value).lower()
     return shortest(value) if isinstance(value, float) else str(value)

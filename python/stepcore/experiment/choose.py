@@ -62,15 +62,15 @@ def least(
     """
     if not len(ladder):
         return None
-    rungs, known = np.asarray(ladder), dict[int, float]()
+    rungs, errors = np.asarray(ladder), dict[int, float]()
 
     def at(k: int) -> float:
-        known[k] = error(int(rungs[k]))
-        return known[k]
+        errors[k] = error(int(rungs[k]))
+        return errors[k]
 
     def order(k: int, j: int) -> float:
         """Return the order of convergence between two rungs; k: the coarser one."""
-        return math.log(known[k] / known[j]) / math.log(rungs[j] / rungs[k])
+        return math.log(errors[k] / errors[j]) / math.log(rungs[j] / rungs[k])
 
     def rung(n: float) -> int:
         return int(np.searchsorted(rungs, n))
@@ -80,23 +80,23 @@ def least(
     while not at(good) <= bound:
         if good == top:
             return None
-        jump, finite = 2.0, math.isfinite(known[good]) and not cliff
+        jump, finite = 2.0, math.isfinite(errors[good]) and not cliff
         if finite:
             p = 1.0
-            if bad >= 0 and math.isfinite(known[bad]):
+            if bad >= 0 and math.isfinite(errors[bad]):
                 p = order(bad, good)
-                reach = rungs[good] * (known[good] / bound) ** (1 / max(p, 0.1))
+                reach = rungs[good] * (errors[good] / bound) ** (1 / max(p, 0.1))
                 if p < 0.2 or reach > 1.5 * rungs[top]:
                     return None
-            jump = min(4.0, max(1.2, (known[good] / bound) ** (1 / min(p, 4.0))))
+            jump = min(4.0, max(1.2, (errors[good] / bound) ** (1 / min(p, 4.0))))
         bad, good = good, min(top, max(good + 1, rung(rungs[good] * jump)))
     while good - bad > 1 and (bad < 0 or rungs[good] > ratio * rungs[bad]):
-        if bad >= 0 and not cliff and math.isfinite(known[bad]) and known[good] > 0:
-            guess = rungs[bad] * (known[bad] / bound) ** (1 / max(0.25, order(bad, good)))
+        if bad >= 0 and not cliff and math.isfinite(errors[bad]) and errors[good] > 0:
+            guess = rungs[bad] * (errors[bad] / bound) ** (1 / max(0.25, order(bad, good)))
         elif bad >= 0:
             guess = math.sqrt(rungs[bad] * rungs[good])
         else:
-            guess = rungs[good] * min(0.8, max(0.125, math.sqrt(max(known[good], 1e-300) / bound)))
+            guess = rungs[good] * min(0.8, max(0.125, math.sqrt(max(errors[good], 1e-300) / bound)))
         middle = min(max(rung(guess), bad + 1), good - 1)
         bad, good = (bad, middle) if at(middle) <= bound else (middle, good)
     return int(rungs[good])

@@ -29,10 +29,10 @@ from stepcore.report.units import counted
 
 # The longest time step that is tried by default, in shipped steps. A period that follows from a log
 # has at least this many of the model's steps.
-LONGEST = 4
+MOST_DT = 4
 # A row takes effect at the beginning of a step if it is this close to it, in steps: rounding of
 # the times of a file.
-ROUNDING = 1e-6
+TIME_EPS = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +55,7 @@ class ControlLog:
         start: when the first step begins [s]. dt: the time step [s].
         """
         edges = start + dt * np.arange(count + 1)
-        first, last = self._row(edges[:-1] + ROUNDING * dt), self._row(edges[1:] - ROUNDING * dt)
+        first, last = self._row(edges[:-1] + TIME_EPS * dt), self._row(edges[1:] - TIME_EPS * dt)
         values: np.ndarray = self._within(first, (edges[:-1] + edges[1:]) / 2)
         across = last > first
         if across.any():
@@ -65,11 +65,11 @@ class ControlLog:
 
     def slopes(self, start: float, dt: float, count: int) -> np.ndarray:
         """Return the derivatives of `steps` by a decreasing `start`, shape (…, count, nu)."""
-        edges = start + dt * (np.arange(count + 1) - ROUNDING)
+        edges = start + dt * (np.arange(count + 1) - TIME_EPS)
         slopes: np.ndarray = np.diff(self._within(self._row(edges), edges), axis=-2) / dt
         return slopes
 
-    def held(self, dt: float) -> int:
+    def steps_per_row(self, dt: float) -> int:
         """Return the number of steps of dt [s] for which each row is held; 0 if it is not whole."""
         gaps = np.diff(self.times)
         if self.linear or not len(gaps):
@@ -80,7 +80,7 @@ class ControlLog:
     def ends_on(self, period: float) -> bool:
         """Return whether rows are held, and change only at the ends of periods; period: [s]."""
         count = self.times / period
-        return not self.linear and bool(np.all(np.abs(count - np.round(count)) <= ROUNDING))
+        return not self.linear and bool(np.all(np.abs(count - np.round(count)) <= TIME_EPS))
 
     def _row(self, times: np.ndarray) -> np.ndarray:
         return np.maximum(np.searchsorted(self.times, times, side="right") - 1, 0)
@@ -155,9 +155,9 @@ class Controls:
             return None, count
         log = self.picked(starts).log
         assert log is not None
-        held = log.held(dt)
-        rows = log.rows if held else log.steps(0.0, dt, count)
-        return rows[None] if rows.ndim == 2 else rows, max(1, held)
+        repeats = log.steps_per_row(dt)
+        rows = log.rows if repeats else log.steps(0.0, dt, count)
+        return rows[None] if rows.ndim == 2 else rows, max(1, repeats)
 
     def picked(self, starts: Sequence[int]) -> Controls:
         """Return the controls of some starts, which may be repeated."""
@@ -177,10 +177,10 @@ class Controls:
 class ControlTable(Log):
     """A log that is played as controls; see `Motion`."""
 
-    asked, can_follow = "ctrl", True
+    expected, can_follow = "ctrl", True
 
     def __init__(self, source: Any, name: str = "") -> None:
-        super().__init__(source, name or self.asked)
+        super().__init__(source, name or self.expected)
 
     def __repr__(self) -> str:
         return self.source
@@ -191,7 +191,7 @@ class ControlTable(Log):
         return np.column_stack([*self.columns.values()])
 
     @property
-    def changes(self) -> bool:
+    def varies(self) -> bool:
         """Whether any two rows differ."""
         return bool(np.any(self.rows != self.rows[:1]))
 
@@ -206,7 +206,7 @@ class ControlTable(Log):
         """The value of the option --ctrl; a placeholder for rows of Python that change."""
         if self.path is not None:
             return self.path
-        return "FILE.npy" if self.changes else self._first(",")
+        return "FILE.npy" if self.varies else self._first(",")
 
     def _first(self, separator: str) -> str:
         values = [f"{value:g}" for value in self.rows[0]]
@@ -218,7 +218,7 @@ class ControlTable(Log):
         """Return the control period [s], or None if the rows do not determine one; dt: [s].
 
         Rows without times have a period of dt. Equally spaced rows have a period that divides the
-        spacing, so that steps can end on the times of rows: the shortest one of at least `LONGEST`
+        spacing, so that steps can end on the times of rows: the shortest one of at least `MOST_DT`
         steps of dt, so that longer steps can be tried.
         Other rows follow their times whatever the period; see `ControlLog`.
         """
@@ -229,12 +229,12 @@ class ControlTable(Log):
             return None
         steps = round(gap / dt)
         parts = [steps // k for k in range(1, steps + 1) if steps % k == 0]
-        return min((n for n in parts if n >= LONGEST), default=0) * dt or None
+        return min((n for n in parts if n >= MOST_DT), default=0) * dt or None
 
-    def log(
+    def control_log(
         self,
         model: Any,
-        held: np.ndarray,
+        key_ctrl: np.ndarray,
         period: float,
         linear: bool = False,
         sampled: bool = False,
@@ -242,15 +242,15 @@ class ControlTable(Log):
         """Return the controls over time.
 
         model: a Model, or an object that names actuators and their joints in the same way.
-        held: the controls of actuators without a column, (nu,). period: of rows without times [s].
-        linear: whether to interpolate the rows. sampled: whether rows that are held take effect at
+        key_ctrl: the controls of actuators without a column, (nu,). period: of rows without times
+        [s]. linear: whether to interpolate the rows. sampled: whether held rows take effect at
         the beginning of a period.
 
         Raises ValueError for a log that does not match the model's actuators.
         """
-        if self.times is None and linear and self.changes:
+        if self.times is None and linear and self.varies:
             raise ValueError(f"{self.source}: has no times to interpolate between")
-        rows = self.controls(model, held)
+        rows = self.controls(model, key_ctrl)
         if self.times is None:
             return ControlLog(period * np.arange(len(rows)), rows)
         if sampled and not linear:
@@ -260,7 +260,7 @@ class ControlTable(Log):
             return ControlLog(periods, rows[index])
         return ControlLog(self.times, rows, linear)
 
-    def clamped(self, model: Model, rows: np.ndarray) -> tuple[str, ...]:
+    def clamping(self, model: Model, rows: np.ndarray) -> tuple[str, ...]:
         """Return a remark on controls beyond their ctrlrange, if any; rows: (n, nu)."""
         low, high = model.actuator_ctrlrange.T
         if not model.scene.features.clampctrl or not len(rows):
@@ -286,7 +286,7 @@ class PositionTable(ControlTable):
     replaced by servos, with the gains of the default motion "hold".
     """
 
-    asked, follows = "qpos", True
+    expected, follows = "qpos", True
 
     def period(self, dt: float) -> float | None:
         return None if self.times is not None else dt

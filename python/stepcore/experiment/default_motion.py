@@ -31,12 +31,12 @@ from typing import NamedTuple
 import numpy as np
 
 from stepcore.engine.actuator import MOTOR, OTHER, SERVO, VELOCITY_SERVO, actuators
-from stepcore.engine.element import listed
+from stepcore.engine.element import name_list
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
 from stepcore.experiment.control_table import ControlLog, Controls, PositionTable
-from stepcore.experiment.moves import HELD, MOVE, REST, Chosen, Moves, moves_about, profile, resting
+from stepcore.experiment.moves import HELD, MOVE, WAIT, Chosen, Moves, moves_about, profile, support
 from stepcore.report.units import counted, metres, percent, radians, seconds
 
 KINDS = ("hold", "move", "sines", "fall", "random")
@@ -58,44 +58,44 @@ def kind_of(model: Model) -> str:
     return "move" if moves and not (actions and moves_about(model, drives)) else "sines"
 
 
-class Asked(NamedTuple):
+class MotionRequest(NamedTuple):
     """The inputs from which controls are made.
 
-    home, held: the state and the controls of the keyframe, (nu,). starts: the starts of the runs.
+    home, key_ctrl: the state and the controls of the keyframe, (nu,). starts: of the runs.
     seed: of the controls, which depend on a start's index, but not on the number of starts.
     period: the control period [s]. periods: the number of periods.
-    whole: whether controls are constant over each period.
+    constant: whether controls are constant over each period.
     """
 
     home: Start
-    held: np.ndarray
+    key_ctrl: np.ndarray
     starts: Sequence[Start]
     seed: int
     period: float
     periods: int
-    whole: bool
+    constant: bool
 
 
-def default_motion(model: Model, kind: str | None, asked: Asked) -> Controls:
+def default_motion(model: Model, kind: str | None, request: MotionRequest) -> Controls:
     """Return the controls of a motion for which the user gave none.
 
     kind: one of `KINDS`; None chooses it.
     """
-    kind, period = kind or kind_of(model), asked.period
+    kind, period = kind or kind_of(model), request.period
     if kind not in ("move", "hold") or not model.nu:
         ranges = np.reshape([drive.ctrlrange for drive in actuators(model)], (-1, 2))
         names = model.called("actuator")
-        return by_rule(kind, actuators_in_words(model), names, ranges, asked)
-    moves = Moves(model, asked.home, asked.held, keep=kind == "hold")
-    chosen = moves.choose(asked.starts, asked.seed)
-    parts = 1 if asked.whole else 1 << max(0, math.ceil(math.log2(period / HELD)))
-    horizon = asked.periods * period
+        return by_rule(kind, actuators_in_words(model), names, ranges, request)
+    moves = Moves(model, request.home, request.key_ctrl, keep=kind == "hold")
+    chosen = moves.choose(request.starts, request.seed)
+    parts = 1 if request.constant else 1 << max(0, math.ceil(math.log2(period / HELD)))
+    horizon = request.periods * period
     log = moves.log(chosen.spans, chosen.rates, horizon, period / parts)
-    said = "; ".join(_said(moves, chosen, horizon))
+    words = "; ".join(_said(moves, chosen, horizon))
     others = [_name(model, "actuator", drive.index) for drive in moves.of(OTHER)]
     remark = "actuators that are no servos, and no motors of a joint, keep their controls: "
-    remarks = (remark + listed(others),) if others else ()
-    return Controls(log, None, said, remarks, moves.servos)
+    remarks = (remark + name_list(others),) if others else ()
+    return Controls(log, None, words, remarks, moves.servos)
 
 
 # --- moves in words -------------------------------------------------------------------------------
@@ -114,7 +114,7 @@ def _said(moves: Moves, chosen: Chosen, horizon: float) -> Iterator[str]:
     far, motors = _far(moves, chosen), bool(moves.servos)
     if far:
         who = "a PD controller drives the joints" if motors else "servos move"
-        back = " and back" * (horizon > MOVE + REST)
+        back = " and back" * (horizon > MOVE + WAIT)
         how = f"point to point over {seconds(MOVE)} {far}{back} (minimum jerk)"
         yield f"test motion: {who} {how}"
     else:
@@ -127,8 +127,8 @@ def _said(moves: Moves, chosen: Chosen, horizon: float) -> Iterator[str]:
         after = seconds(moves.held.fell)
         yield f"nothing holds this pose: the robot falls over within {after}"
     elif not moves.keep and chosen.still:
-        of = f"{chosen.still} of {counted(len(chosen.spans), 'start')}"
-        who = f"{of} only hold their pose" if chosen.still > 1 else f"{of} only holds its pose"
+        some = f"{chosen.still} of {counted(len(chosen.spans), 'start')}"
+        who = f"{some} only hold their pose" if chosen.still > 1 else f"{some} only holds its pose"
         if len(chosen.spans) == 1:
             who = "it only holds its pose"
         yield f"{who}, because even small moves meet contacts, limits or the bounds of forces"
@@ -138,7 +138,7 @@ def _far(moves: Moves, chosen: Chosen) -> str:
     """Describe the largest moves: "to poses up to 0.35 rad and 5 mm away"; "" if nothing moves."""
     slides = np.array([moves.model.jnt_type[joint] == "slide" for joint in moves.joints], bool)
     ends = (radians, chosen.far[~slides]), (metres, chosen.far[slides])
-    parts = [said(float(far.max())) for said, far in ends if far.max(initial=0.0) > 1e-6]
+    parts = [write(float(far.max())) for write, far in ends if far.max(initial=0.0) > 1e-6]
     most = float(np.abs(chosen.spans).max(initial=0.0))
     if not parts and most > 1e-6:
         parts = [f"{most:.2g} of control"]
@@ -179,38 +179,38 @@ def _name(model: Model, kind: str, index: int) -> str:
 
 
 def by_rule(
-    kind: str, what: str, names: Sequence[str], ranges: np.ndarray, asked: Asked
+    kind: str, drives: str, names: Sequence[str], ranges: np.ndarray, request: MotionRequest
 ) -> Controls:
     """Return controls that follow from their ranges alone: "hold", "fall", "random" or "sines".
 
-    what: the actuators in words. names: their names. ranges: of the controls, (nu, 2); infinite for
-    a control without a range.
+    drives: the actuators in words. names: their names. ranges: of the controls, (nu, 2); infinite
+    for a control without a range.
     """
-    held, periods = asked.held, asked.periods
-    times = asked.period * np.arange(periods)
+    key_ctrl, periods = request.key_ctrl, request.periods
+    times = request.period * np.arange(periods)
     if not len(names):
         return Controls(ControlLog(times[:1], np.zeros((1, 0))), words="no motors")
     if kind in ("hold", "fall"):
-        row = held if kind == "hold" else np.zeros(len(names))
-        said = "at the keyframe's controls" if kind == "hold" else "at zero"
-        return Controls(ControlLog(times[:1], row[None]), words=f"{what} are held {said}")
-    draws = [np.random.default_rng([asked.seed, k]) for k in range(len(asked.starts))]
+        row = key_ctrl if kind == "hold" else np.zeros(len(names))
+        words = "at the keyframe's controls" if kind == "hold" else "at zero"
+        return Controls(ControlLog(times[:1], row[None]), words=f"{drives} are held {words}")
+    draws = [np.random.default_rng([request.seed, k]) for k in range(len(request.starts))]
     if kind == "random":
         ranged = np.isfinite(ranges).all(axis=1)
-        rows = np.tile(held, (len(draws), periods, 1))
-        for own, rng in zip(rows, draws, strict=True):
+        rows = np.tile(key_ctrl, (len(draws), periods, 1))
+        for start_rows, rng in zip(rows, draws, strict=True):
             low, high = ranges[ranged].T
-            own[:, ranged] = rng.uniform(low, high, (periods, len(low)))
-        pace = f"every {seconds(asked.period)}"
-        said = f"{what} get new random controls within their range {pace}"
-        return Controls(ControlLog(times, rows), words=said)
-    rows = np.stack([_sines(ranges, held, times, rng) for rng in draws])
+            start_rows[:, ranged] = rng.uniform(low, high, (periods, len(low)))
+        pace = f"every {seconds(request.period)}"
+        words = f"{drives} get new random controls within their range {pace}"
+        return Controls(ControlLog(times, rows), words=words)
+    rows = np.stack([_sines(ranges, key_ctrl, times, rng) for rng in draws])
     free = ~np.isfinite(ranges).all(axis=1)
-    return Controls(ControlLog(times, rows), words=_sines_in_words(what, names, free, held))
+    return Controls(ControlLog(times, rows), words=_sines_in_words(drives, names, free, key_ctrl))
 
 
 def _sines(
-    ranges: np.ndarray, held: np.ndarray, times: np.ndarray, rng: np.random.Generator
+    ranges: np.ndarray, key_ctrl: np.ndarray, times: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
     """Return smooth controls: random sines around the keyframe's, within their ranges."""
     ramp, values = np.minimum(1.0, times / RAMP), np.empty((len(times), len(ranges)))
@@ -219,45 +219,45 @@ def _sines(
         share = rng.dirichlet(np.ones(SINES))
         wave = ramp * (np.sin(2 * math.pi * np.outer(times, hertz) + phase) @ share)
         if math.isfinite(high - low):
-            centre = held[k] if held[k] else (low + high) / 2
-            begun = np.clip(held[k], low, high)
+            centre = key_ctrl[k] if key_ctrl[k] else (low + high) / 2
+            begun = np.clip(key_ctrl[k], low, high)
             middle = begun + ramp * (centre - begun)
             values[:, k] = np.clip(middle + RANGED * (high - low) * wave, low, high)
         else:
-            values[:, k] = held[k]
+            values[:, k] = key_ctrl[k]
     return values
 
 
-def _sines_in_words(what: str, names: Sequence[str], free: np.ndarray, held: np.ndarray) -> str:
+def _sines_in_words(drives: str, names: Sequence[str], free: np.ndarray, ctrl: np.ndarray) -> str:
     """Describe sines; free: which controls have no range, and keep the keyframe's value."""
-    at = "at the keyframe's controls" if held[free].any() else "at zero"
+    at = "at the keyframe's controls" if ctrl[free].any() else "at zero"
     if free.all():
-        return f"{what} are held {at}, because nothing gives their range"
+        return f"{drives} are held {at}, because nothing gives their range"
     low, high = HERTZ
-    said = f"test motion: random sines of {low:g} to {high:g} Hz, "
-    said += f"±{RANGED:.0%} of the control range, as policies look".replace("%", " %")
+    words = f"test motion: random sines of {low:g} to {high:g} Hz, "
+    words += f"±{RANGED:.0%} of the control range, as policies look".replace("%", " %")
     if free.any():
         some = names[int(free.argmax())] if free.sum() == 1 else f"{free.sum()} of them"
-        said += f"; {some} without a range held {at}"
-    return said
+        words += f"; {some} without a range held {at}"
+    return words
 
 
 # --- recorded positions ---------------------------------------------------------------------------
 
 
-def followed(table: PositionTable, model: Model, asked: Asked) -> Controls:
+def following_controls(table: PositionTable, model: Model, request: MotionRequest) -> Controls:
     """Return the controls that follow the positions; between rows they are interpolated.
 
     Servos that replace motors are made for the first pose.
     """
-    start = asked.home
+    start = request.home
     poses = table.poses(model, start.qpos)
-    moves = Moves(model, start, asked.held, keep=True)
+    moves = Moves(model, start, request.key_ctrl, keep=True)
     servos, motors = moves.of(SERVO), moves.of(MOTOR)
     if not servos and not motors:
-        what = "position servo or motor, which could follow"
-        raise ValueError(f"{table.source}: no actuator is a {what}")
-    times = asked.period * np.arange(len(poses))
+        kinds = "position servo or motor, which could follow"
+        raise ValueError(f"{table.source}: no actuator is a {kinds}")
+    times = request.period * np.arange(len(poses))
     if table.times is not None:
         times = table.times - table.times[0]
     rates = np.gradient(poses, times, axis=0) if len(poses) > 1 else np.zeros_like(poses)
@@ -274,7 +274,7 @@ def followed(table: PositionTable, model: Model, asked: Asked) -> Controls:
             continue
         # The load in addition to the first pose's, which servos carry.
         sim.forward()
-        load = resting(sim, dofs, np.zeros((0, model.nv)))
+        load = support(sim, dofs, np.zeros((0, model.nv)))
         first = load if first is None else first
         for motor, more in zip(motors, load - first, strict=True):
             k, at = motor.index, motor.qposadr

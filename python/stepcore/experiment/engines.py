@@ -333,7 +333,7 @@ class Stepcore(Engine):
         return change.with_settings(self._models[physics])
 
     def compile(self, change: Change, schedule: Schedule) -> None:
-        schedule.on(self.of(change))
+        schedule.driven_model(self.of(change))
 
     def follow(
         self, change: Change, schedule: Schedule, starts: Sequence[int], first: int = 1
@@ -408,7 +408,8 @@ class Stepcore(Engine):
             seen = run(self.model, schedule, schedule.indices[:1], record=names)
             places = spread(seen["qpos"][0])
             self._looks = [tuple(seen[name][0, k] for name in names) for k in places]
-        model, once = schedule.on(self.of(change)), change.also(Change(accuracy=None, dt=self.dt))
+        model = schedule.driven_model(self.of(change))
+        once = change.also(Change(accuracy=None, dt=self.dt))
         if model.settings.accuracy is not None:
             if once not in self._evaluations:
                 # Steps of full length may fail where adaptive ones do not.
@@ -543,7 +544,7 @@ def run(
 
     The samples are the start itself, then the samples of the schedule.
     """
-    dt, model = model.settings.dt, schedule.on(model)
+    dt, model = model.settings.dt, schedule.driven_model(model)
     count = schedule.steps(dt)
     begin = [schedule.starts[k] for k in starts]
     how: dict[str, Any] = {"record": record, "probe": probe, "bound": bound, "threads": threads}

@@ -30,25 +30,25 @@ from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.default_motion import kind_of
 from stepcore.experiment.engines import Engine, run, spread
 from stepcore.experiment.motion import Motion
-from stepcore.experiment.predictable import APART
+from stepcore.experiment.predictable import SAMPLE_TIME
 from stepcore.experiment.schedule import HORIZON, scheduled
 from stepcore.experiment.sizes import scene_size
 from stepcore.report.units import seconds
 
 # The bound: the longest run [s], its most steps, and its largest cost, in floating-point operations
 # (one or two seconds of computing).
-LONGEST, STEPS, COST = 10.0, 20_000, 1e9
+LONGEST_RUN, PILOT_STEPS, MOST_COST = 10.0, 20_000, 1e9
 # The share of the cost of a converged motion that one run from each start may have.
-SHARE = 1 / 30
+COST_SHARE = 1 / 30
 # The operations that take as long as a call of a control function: 20 µs.
-CALL = 9e4
+CALL_COST = 9e4
 # The time between two checks, and the shortest period of a motion that repeats [s].
-LOOK = 0.1
+CHECK_TIME = 0.1
 # The time over which a speed is averaged [s]. Growth is measured from one such time to the next.
-WINDOW = 0.25
-# The largest path of a motion at rest in `LONGEST`, over the scene's size; and the largest distance
-# of a repeating motion from its place a period before, over its path.
-STILL, ALIKE = 0.01, 0.02
+SPEED_TIME = 0.25
+# The largest path of a motion at rest in `LONGEST_RUN`, over the scene's size; and the largest
+# distance of a repeating motion from its place a period before, over its path.
+REST_PATH, REPEATED = 0.01, 0.02
 # The largest exponent of growth until the bound that counts: rounding grows to any size.
 GROWTH = -math.log(np.finfo(float).eps)
 
@@ -71,7 +71,7 @@ class Horizon:
 
 
 def horizon_of(
-    model: Model, motion: Motion, default: float = HORIZON, cost: float = COST
+    model: Model, motion: Motion, default: float = HORIZON, cost: float = MOST_COST
 ) -> Horizon:
     """Return the horizon of a motion: the given one, or the time until it has come to rest.
 
@@ -81,7 +81,7 @@ def horizon_of(
     if motion.horizon is not None:
         return Horizon(motion.horizon)
     dt = model.settings.dt
-    longest = min(LONGEST, STEPS * dt)
+    longest = min(LONGEST_RUN, PILOT_STEPS * dt)
     table = motion.table
     if table is not None and table.duration > default:
         sim = Sim(model)
@@ -92,10 +92,10 @@ def horizon_of(
             lasts += f", of which {seconds(length)} are run; --horizon sets more"
         return Horizon(length, lasts)
     if table is not None:
-        tried = not table.changes
+        tried = not table.varies
     else:
         tried = motion.control is not None or (motion.kind or kind_of(model)) in ("fall", "hold")
-    if not tried or dt > LOOK or longest <= default:
+    if not tried or dt > CHECK_TIME or longest <= default:
         return Horizon(default)
     pilot = _Pilot(model, motion, default, cost)
     return replace(pilot.horizon(), ran=pilot.ran)
@@ -110,7 +110,7 @@ def settled_motion(
     """
     far = Horizon(motion.horizon or HORIZON)
     if engine.known:
-        far = horizon_of(engine.model, motion, cost=SHARE * effort / starts)
+        far = horizon_of(engine.model, motion, cost=COST_SHARE * effort / starts)
     return replace(motion, horizon=far.length if far.words else motion.horizon), far
 
 
@@ -128,16 +128,16 @@ class _Pilot:
     def __init__(self, model: Model, motion: Motion, default: float, cost: float) -> None:
         dt = model.settings.dt
         self.model, self.default, self.cost = model, default, cost
-        self.longest = min(LONGEST, STEPS * dt)
-        period = motion.period(dt) or dt * max(1, round(APART / dt))
-        whole = replace(motion, horizon=max(self.longest, period), starts=1)
-        self.count = max(1, round(APART / period))
+        self.longest = min(LONGEST_RUN, PILOT_STEPS * dt)
+        period = motion.period(dt) or dt * max(1, round(SAMPLE_TIME / dt))
+        extended = replace(motion, horizon=max(self.longest, period), starts=1)
+        self.count = max(1, round(SAMPLE_TIME / period))
         self.every = self.count * period
-        self.schedule = replace(scheduled(whole, model, period), every=self.count)
+        self.schedule = replace(scheduled(extended, model, period), every=self.count)
         self.matter, self.size = Matter.of(model), scene_size(model.scene)
         self.driven, gravity = motion.control is not None, np.asarray(model.scene.gravity)
         self.up = gravity / max(np.linalg.norm(gravity), 1e-300)
-        self.calls = CALL * dt / period if self.driven else 0.0
+        self.calls = CALL_COST * dt / period if self.driven else 0.0
         self.ran: Followed | None = None
 
     def horizon(self) -> Horizon:
@@ -146,8 +146,8 @@ class _Pilot:
         places, paid, failed = self._places(first)
         if not failed and self._ends(places):
             return Horizon(self.default)
-        whole, look = self.schedule.periods // self.count, max(1, round(LOOK / self.every))
-        most = min(whole, look * math.ceil(paid / self.every / look))
+        total, look = self.schedule.periods // self.count, max(1, round(CHECK_TIME / self.every))
+        most = min(total, look * math.ceil(paid / self.every / look))
         if not failed and first < most:
             places, paid, failed = self._places(most)
             # Later steps may cost more than the first ones.
@@ -161,11 +161,11 @@ class _Pilot:
         length = round((len(places) - 1) * self.every, 9)
         if failed:
             # A run over this horizon shows the failure.
-            length = min(self.longest, math.ceil((length + LOOK) / LOOK) * LOOK)
+            length = min(self.longest, math.ceil((length + CHECK_TIME) / CHECK_TIME) * CHECK_TIME)
             return Horizon(max(self.default, length))
         if length <= self.default + self.every / 2:
             return Horizon(self.default)
-        further = "; --horizon goes on further" if most < whole else ", the longest run"
+        further = "; --horizon goes on further" if most < total else ", the longest run"
         return Horizon(length, f"still moving at {seconds(length)}{further}")
 
     def _places(self, samples: int) -> tuple[np.ndarray, float, bool]:
@@ -192,7 +192,7 @@ class _Pilot:
         flips = np.sum(quat[1:] * quat[:-1], axis=2) < 0
         quat[1:][np.logical_xor.accumulate(flips, axis=0)] *= -1
         turned = 2 * self.matter.gyration[:, None] * quat
-        sim, flops = unwatched(Sim(self.schedule.on(self.model))), []
+        sim, flops = unwatched(Sim(self.schedule.driven_model(self.model))), []
         for k in spread(ran["qpos"][0, :good]):
             for name in states:
                 getattr(sim, name)[:] = ran[name][0, k]
@@ -207,37 +207,37 @@ class _Pilot:
 
     def _rests(self, places: np.ndarray) -> bool:
         """Return whether the bodies move slowly at the end, and will continue to."""
-        return len(places) >= 2 * round(WINDOW / self.every) and self._still(
+        return len(places) >= 2 * round(SPEED_TIME / self.every) and self._still(
             np.linalg.norm(np.diff(places, axis=0), axis=2).max(axis=1), len(places)
         )
 
     def _still(self, way: np.ndarray, samples: int) -> bool:
         """Return whether the paths between samples [m] are short at the end, and will stay so."""
-        count, time = round(WINDOW / self.every), (samples - 1) * self.every
+        count, time = round(SPEED_TIME / self.every), (samples - 1) * self.every
         parts = way[-2 * count : -count], way[-count:]
         before, now = (float(part.mean()) / self.every for part in parts)
-        growth = math.log(now / before) / WINDOW if now > before > 0 else 0.0
+        growth = math.log(now / before) / SPEED_TIME if now > before > 0 else 0.0
         exponent = min(growth * (self.longest - time), GROWTH)
-        return now * LONGEST * math.exp(exponent) <= STILL * self.size
+        return now * LONGEST_RUN * math.exp(exponent) <= REST_PATH * self.size
 
     def _repeats(self, places: np.ndarray) -> bool:
         """Return whether every moving body is, for a whole period, where it was before."""
         way = np.linalg.norm(np.diff(places, axis=0), axis=2)
-        moves = [k for k, own in enumerate(way.T) if not self._still(own, len(places))]
+        moves = [k for k, moved in enumerate(way.T) if not self._still(moved, len(places))]
         back = places[::-1, moves]
-        lags = np.arange(max(1, round(LOOK / self.every)), (len(places) - 1) // 2 + 1)
+        lags = np.arange(max(1, round(CHECK_TIME / self.every)), (len(places) - 1) // 2 + 1)
         if not (len(lags) and moves):
             return False
         spans = np.maximum.accumulate(back) - np.minimum.accumulate(back)
-        ways = ALIKE * np.linalg.norm(spans, axis=2)[2 * lags - 1]
+        ways = REPEATED * np.linalg.norm(spans, axis=2)[2 * lags - 1]
         # The last sample first: it rules most periods out.
         last = back[0] - back[lags]
         if self.driven:
             last = (last - back[lags // 2] + back[lags + lags // 2]) / 2
         some = np.flatnonzero((np.linalg.norm(last, axis=2) <= ways).all(axis=1))
         return any(
-            self._alike(back[:lag] - back[lag : 2 * lag], lag, own)
-            for lag, own in zip(lags[some].tolist(), ways[some], strict=True)
+            self._alike(back[:lag] - back[lag : 2 * lag], lag, limit)
+            for lag, limit in zip(lags[some].tolist(), ways[some], strict=True)
         )
 
     def _alike(self, moved: np.ndarray, lag: int, ways: np.ndarray) -> bool:
@@ -245,6 +245,6 @@ class _Pilot:
         mean = moved.mean(axis=0) * [1, 1, 1, 0, 0, 0, 0]
         # Falling and climbing bodies do not drive, and slow bodies creep.
         mean[:, :3] -= np.outer(mean[:, :3] @ self.up, self.up)
-        fast = np.linalg.norm(mean, axis=1) * LONGEST >= self.size * lag * self.every
+        fast = np.linalg.norm(mean, axis=1) * LONGEST_RUN >= self.size * lag * self.every
         moved = moved - mean * (self.driven & fast)[:, None]
         return bool((np.linalg.norm(moved, axis=2) <= ways).all())

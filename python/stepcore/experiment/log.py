@@ -14,12 +14,12 @@ import numpy as np
 from stepcore import checks
 from stepcore.engine.actuator import MOTOR, actuators
 from stepcore.engine.axes import axes_of
-from stepcore.engine.element import listed
+from stepcore.engine.element import name_list
 from stepcore.engine.model import Model
 from stepcore.engine.start import Start
 from stepcore.engine.trajectory import Trajectory
 from stepcore.experiment.change import with_motors
-from stepcore.experiment.log_files import TIMES, UNITS, content_of, parts_of, plain
+from stepcore.experiment.log_files import TIMES, UNITS, content_of, parts_of, plain_unit
 from stepcore.report.units import counted, seconds
 
 # The quantities that a log can have: their names in sentences, and their names in columns.
@@ -41,8 +41,6 @@ CLOCK = re.compile(r"[%_]*(time|t|stamp|time_?stamp|seconds|elapsed)_*", re.IGNO
 # This many rows this far apart [s] have times in another unit: 2 Hz does not resolve the motion of
 # a robot, and slower schedules that a person writes have fewer rows.
 SLOW, MANY = 0.5, 20
-# The share of intervals above which longer ones are no gaps: the rows come at irregular times.
-IRREGULAR = 0.25
 # Positions of a hinge without limits beyond this many radians, nearly two turns, may be degrees.
 TURNS = 10.0
 
@@ -55,15 +53,15 @@ class Names:
     """
 
     def __init__(self, model: Any) -> None:
-        whole = isinstance(model, Model)
+        is_model = isinstance(model, Model)
         sizes = {"ctrl": model.nu}
-        if whole:
+        if is_model:
             sizes |= {"qpos": model.nq, "qvel": model.nv, "effort": model.nv}
             sizes["sensordata"] = int(np.sum(model.sensor_dim))
         self.own: dict[str, dict[str, int]] = {array: {} for array in SAID}
         self.also: dict[str, dict[str, list[int]]] = {array: {} for array in SAID}
         for array, size in sizes.items():
-            entries = entries_of(model, array, size) if whole else model.called("actuator")
+            entries = entries_of(model, array, size) if is_model else model.called("actuator")
             self.own[array] = {name: k for k, name in enumerate(entries)}
         drives = model.called("actuator")
         for k, joint in enumerate(model.actuator_joint.tolist()):
@@ -73,7 +71,7 @@ class Names:
                     if name in self.own[array]:
                         self.also[array][drives[k]] = [self.own[array][name]]
 
-        every = {name.lower(): name for own in self.own.values() for name in own}
+        every = {name.lower(): name for indices in self.own.values() for name in indices}
         self._cased = every if len(every) == len({n for o in self.own.values() for n in o}) else {}
         some = "|".join(map(re.escape, sorted(self._cased, key=len, reverse=True)))
         self._any = re.compile(rf"(?<![^\W_])({some})(?![^\W_])", re.IGNORECASE)
@@ -82,17 +80,17 @@ class Names:
         """Yield readings of a column's title, with names in the model's upper and lower case."""
         for text, unit in spellings(title):
             if self._cased and not self.knows(text):
-                text = self._any.sub(lambda found: self._cased[found[0].lower()], text)
+                text = self._any.sub(lambda match: self._cased[match[0].lower()], text)
             yield text, unit
 
     def find(self, array: str, name: str) -> list[int]:
         """Return the entries of an array that a name denotes."""
-        own = self.own[array].get(name)
-        return self.also[array].get(name, []) if own is None else [own]
+        index = self.own[array].get(name)
+        return self.also[array].get(name, []) if index is None else [index]
 
     def knows(self, name: str) -> bool:
         """Return whether an entry of the model has this name."""
-        return any(name in own for own in self.own.values())
+        return any(name in indices for indices in self.own.values())
 
     def called(self, array: str, index: int) -> str:
         return list(self.own[array])[index]
@@ -172,7 +170,7 @@ class Log:
     """
 
     # The meaning of a joint's name alone: "ctrl" or "qpos"; with "", two meanings are an error.
-    asked = ""
+    expected = ""
     # Whether servos follow its positions; and whether the user could request that by `follow`.
     follows = can_follow = False
     # The time of the first row in the source [s].
@@ -246,7 +244,7 @@ class Log:
 
     def _seconds(self, title: str, unit: str, values: np.ndarray) -> np.ndarray:
         """Return times in seconds; a missing unit is inferred."""
-        scale = TIMES.get(plain(unit))
+        scale = TIMES.get(plain_unit(unit))
         if scale is not None:
             return values * scale
         if unit:
@@ -270,11 +268,11 @@ class Log:
         late = np.flatnonzero(np.diff(times) <= 0)
         if len(late):
             k = int(late[0]) + 1
-            what, cure = "is before", "sort the rows by time"
+            problem, cure = "is before", "sort the rows by time"
             if times[k] == times[k - 1]:
-                what, cure = "repeats", "keep one of them"
+                problem, cure = "repeats", "keep one of them"
             raise ValueError(
-                f"{self.at(k, title)}: {times[k]:.10g} s {what} row {self._row(k - 1)}, "
+                f"{self.at(k, title)}: {times[k]:.10g} s {problem} row {self._row(k - 1)}, "
                 f"{times[k - 1]:.10g} s: times must be finite and increase: {cure}"
             )
         return times
@@ -311,21 +309,21 @@ class Log:
         for title, values in self.columns.items():
             if values.ndim == 2:
                 self._put_array(names, placed, title, values)
-            elif (found := self._worded(names, title)) is not None:
-                self._put(names, placed, title, self.columns[title], found)
+            elif (place := self._worded(names, title)) is not None:
+                self._put(names, placed, title, self.columns[title], place)
             else:
                 bare.append(title)
-        told = bool(placed.arrays)
+        has_arrays = bool(placed.arrays)
         drives = set(placed.of("ctrl"))
         for title in bare:
             named = {text for text, _ in names.spellings(title)} - names.own["qpos"].keys()
             drives |= {names.own["ctrl"][text] for text in named & names.own["ctrl"].keys()}
         for title in bare:
-            found = self._bare(names, title, told, drives)
-            if found is None:
+            place = self._bare(names, title, has_arrays, drives)
+            if place is None:
                 placed.unread.append(title)
             else:
-                self._put(names, placed, title, self.columns[title], found)
+                self._put(names, placed, title, self.columns[title], place)
         self._check_unread(names, placed)
         if self.times is None and {"qvel", "effort"} & placed.arrays.keys() and len(values) > 1:
             cure = 'name a column "time", or "t [ms]"'
@@ -334,7 +332,7 @@ class Log:
             without = [
                 name for name in placed.names.get("qpos", ()) if name not in placed.names["effort"]
             ]
-            placed.notes += [f"no torque of {listed(without)}"] if without else []
+            placed.notes += [f"no torque of {name_list(without)}"] if without else []
         if isinstance(model, Model):
             self._check_degrees(model, placed)
             self._unwrap(model, placed)
@@ -349,7 +347,7 @@ class Log:
         usual = float(np.median(apart))
         missing = np.round(apart / usual) - 1
         rows, longest = int(missing.sum()), int(apart.argmax())
-        if not rows or np.mean(missing > 0) > IRREGULAR:
+        if not rows or np.mean(missing > 0) > 0.25:
             return []
         at = seconds(float(self.times[longest]))
         gap = f"the longest gap is {seconds(float(apart[longest]))}, at {at}"
@@ -362,36 +360,36 @@ class Log:
             if match is None or names.knows(text):
                 continue
             array = WORDS.get(match["word"].lower(), "")
-            if self.asked == "ctrl" and self.taken == array != "effort":
+            if self.expected == "ctrl" and self.taken == array != "effort":
                 array = "ctrl"
             if array and (index := self._entry(names, array, match["name"])) is not None:
                 return array, index, unit
         return None
 
     def _bare(
-        self, names: Names, title: str, told: bool, drives: Collection[int]
+        self, names: Names, title: str, has_arrays: bool, drives: Collection[int]
     ) -> tuple[str, int, str] | None:
         """Return array, entry and unit of a column whose title is just a name of the model.
 
-        told: whether other columns name their quantity. drives: actuators that have a column.
+        has_arrays: whether other columns name their quantity. drives: actuators that have a column.
         """
         for text, unit in names.spellings(title):
-            own = [key for key in ("ctrl", "qpos", "sensordata") if text in names.own[key]]
+            keys = [key for key in ("ctrl", "qpos", "sensordata") if text in names.own[key]]
             joint = text in names.own["qpos"] or text in names.also["ctrl"]
-            if joint and self.asked == "ctrl" and not told:
+            if joint and self.expected == "ctrl" and not has_arrays:
                 moved = self._entry(names, "ctrl", text)
                 if moved is not None and moved not in drives:
                     return "ctrl", moved, unit
-            if not own:
+            if not keys:
                 continue
-            if joint and len(own) > 1:
+            if joint and len(keys) > 1:
                 taken = self._entry(names, "ctrl", text) in drives
-                if not (self.asked or taken or own == ["qpos"]):
-                    words = " or ".join(f"{text}.{SAID[key]}" for key in sorted(own, reverse=True))
+                if not (self.expected or taken or keys == ["qpos"]):
+                    words = " or ".join(f"{text}.{SAID[key]}" for key in sorted(keys, reverse=True))
                     where = f"{self.source}: column {checks.quoted(text)}"
                     raise ValueError(f"{where}: must be {words}")
-                own = ["qpos"]
-            return own[0], names.own[own[0]][text], unit
+                keys = ["qpos"]
+            return keys[0], names.own[keys[0]][text], unit
         return None
 
     def _entry(self, names: Names, array: str, name: str) -> int | None:
@@ -404,7 +402,7 @@ class Log:
 
     def _put_array(self, names: Names, placed: Placed, title: str, values: np.ndarray) -> None:
         """Put rows of all entries of an array: of a title such as "qpos", or without a title."""
-        array = WORDS.get(title, "") if title else self.asked
+        array = WORDS.get(title, "") if title else self.expected
         if not array:
             placed.unread.append(title)
             return
@@ -426,18 +424,18 @@ class Log:
         place: tuple[str, int, str],
     ) -> None:
         """Put the numbers of a column at its place: array, entry, and the unit in its title."""
-        array, k, told = place
+        array, k, title_unit = place
         self._check_text(title)
-        unit = self._content.units.get(title, told)
-        scale, name = UNITS.get(plain(unit)), names.called(array, k)
+        unit = self._content.units.get(title, title_unit)
+        scale, name = UNITS.get(plain_unit(unit)), names.called(array, k)
         where = f"{self.source}, column {title}"
         if scale is None:
             limit = "must be rad, deg, m, mm, N·m or N, or these per second"
             raise ValueError(f"{where}: unit {checks.quoted(unit)}: {limit}")
         if (array, k) in placed.titles:
-            what = "is controlled" if array == "ctrl" else f"has its {SAID[array]} told"
+            problem = "is controlled" if array == "ctrl" else f"has its {SAID[array]} told"
             other = f"leave out this one or {placed.titles[array, k]}"
-            raise ValueError(f"{where}: {checks.quoted(name)} {what} by two columns: {other}")
+            raise ValueError(f"{where}: {checks.quoted(name)} {problem} by two columns: {other}")
         bad = np.flatnonzero(np.isinf(values))
         if len(bad):
             raise ValueError(f"{self.at(bad[0], title)} = {values[bad[0]]}: must be finite")
@@ -449,32 +447,28 @@ class Log:
     def _check_unread(self, names: Names, placed: Placed) -> None:
         """Refuse titles that nearly name an entry without a column, and controls of nothing."""
         free = {
-            array: [name for name, k in own.items() if (array, k) not in placed.titles]
-            for array, own in names.own.items()
+            array: [name for name, k in index.items() if (array, k) not in placed.titles]
+            for array, index in names.own.items()
         }
-        joints = [
-            name for name, own in names.also["ctrl"].items() if not {*own} & {*placed.of("ctrl")}
-        ]
+        joints = [name for name, k in names.also["ctrl"].items() if not {*k} & {*placed.of("ctrl")}]
         free["ctrl"] += joints
         for title in placed.unread:
             text = title.strip("/ ").rpartition("/")[2]
             match = INDEXED.fullmatch(text) or SUFFIXED.fullmatch(text)
             array = WORDS.get(match["word"].lower(), "") if match else ""
             name = match["name"] if match and array else text
-            known = free[array] if array else [*free["ctrl"], *free["qpos"]]
-            if name in known and self.columns[title].ndim == 2:
+            choices = free[array] if array else [*free["ctrl"], *free["qpos"]]
+            if name in choices and self.columns[title].ndim == 2:
                 raise ValueError(f"{self.source}, column {title}: must have one number a row")
             # Other quantities of a joint, such as its temperature, have a point or brackets.
             plain_name = array or not re.search(r"[.[]", text)
-            near = plain_name and difflib.get_close_matches(name, known, 1, 0.7)
-            nothing = (
-                self.asked and self.asked not in placed.arrays and "effort" not in placed.arrays
-            )
+            near = plain_name and difflib.get_close_matches(name, choices, 1, 0.7)
+            nothing = self.expected and not {self.expected, "effort"} & placed.arrays.keys()
             if near or nothing or array == "ctrl":
                 kind = {"ctrl": "actuator", "qpos": "joint"}.get(
-                    array or self.asked, "joint or actuator"
+                    array or self.expected, "joint or actuator"
                 )
-                nearest = checks.nearest(name, dict.fromkeys(known))
+                nearest = checks.nearest(name, dict.fromkeys(choices))
                 raise ValueError(
                     f"{self.source}: no {kind} is named {checks.quoted(title)}{nearest}"
                 )
@@ -482,15 +476,15 @@ class Log:
     def _unwrap(self, model: Model, placed: Placed) -> None:
         """Unwrap angles that jump by a turn, unless the result leaves the joint's range."""
         for joint, title, values in self._hinges(model, placed):
-            known, turn = np.isfinite(values), 2 * np.pi
-            jumps = np.abs(np.diff(values[known])) > 0.75 * turn
-            if not jumps.any() or np.ptp(values[known]) > turn:
+            measured, turn = np.isfinite(values), 2 * np.pi
+            jumps = np.abs(np.diff(values[measured])) > 0.75 * turn
+            if not jumps.any() or np.ptp(values[measured]) > turn:
                 continue
-            whole = np.unwrap(values[known], 0.75 * turn)
+            unwrapped = np.unwrap(values[measured], 0.75 * turn)
             limits = model.jnt_range[joint]
-            outside = [np.abs(each - each.clip(*limits)) for each in (whole, values)]
+            outside = [np.abs(each - each.clip(*limits)) for each in (unwrapped, values)]
             if outside[0].max() <= np.nanmax(outside[1]):
-                values[known] = whole
+                values[measured] = unwrapped
                 count = counted(int(jumps.sum()), "jump")
                 placed.notes.append(f"{title} is unwrapped at {count} by a turn")
 
@@ -504,8 +498,8 @@ class Log:
     def _check_degrees(self, model: Model, placed: Placed) -> None:
         """Refuse positions that are far beyond the range, or in another unit than velocities."""
         for joint, title, values in self._hinges(model, placed):
-            v, told = int(model.jnt_dofadr[joint]), {plain(unit) for _, unit in spellings(title)}
-            if (told - {""}) & UNITS.keys() or self._content.units.get(title):
+            v, units = int(model.jnt_dofadr[joint]), {plain_unit(u) for _, u in spellings(title)}
+            if (units - {""}) & UNITS.keys() or self._content.units.get(title):
                 continue
             most = float(np.nanmax(np.abs(values), initial=0.0))
             limit = float(np.abs(model.jnt_range[joint]).max())
@@ -531,8 +525,8 @@ class Log:
     @staticmethod
     def _turns(values: np.ndarray) -> bool:
         """Return whether a joint goes on turning, as a wheel does: it does not come back."""
-        known = values[np.isfinite(values)]
-        return abs(known[-1] - known[0]) > 0.5 * float(np.ptp(known))
+        measured = values[np.isfinite(values)]
+        return abs(measured[-1] - measured[0]) > 0.5 * float(np.ptp(measured))
 
     # --- controls ---------------------------------------------------------------------------------
 
@@ -557,7 +551,7 @@ class Log:
         drives = [] if follows else actuators(model)
         others = [d for d in drives if d.dof in placed.of("effort") and d.kind != MOTOR]
         if others and self.taken != "effort":
-            names = listed(model.called("actuator")[drive.index] for drive in others)
+            names = name_list(model.called("actuator")[drive.index] for drive in others)
             path = self.path or "log.csv"
             follow = f"; to follow the positions, --follow {path} (follow=)" * self.can_follow
             raise ValueError(
@@ -575,20 +569,20 @@ class Log:
             for joint, kind in enumerate(model.jnt_type)
             if kind in ("hinge", "slide") and free and int(places[joint]) in {*played} - driven
         ]
-        made = with_motors(model, joints, [drive.index for drive in others])
-        if made is not model:
+        driven_model = with_motors(model, joints, [drive.index for drive in others])
+        if driven_model is not model:
             called = [model.called("joint")[joint] for joint in joints]
             called += [model.called("actuator")[drive.index] for drive in others]
-            what = "positions" if follows else "torques"
-            made.scene.notes.append(
-                f"motors were made for the {what} of {self.source}: {listed(called)}"
+            quantity = "positions" if follows else "torques"
+            driven_model.scene.notes.append(
+                f"motors were made for the {quantity} of {self.source}: {name_list(called)}"
             )
-        return made
+        return driven_model
 
-    def controls(self, model: Any, held: np.ndarray) -> np.ndarray:
+    def controls(self, model: Any, key_ctrl: np.ndarray) -> np.ndarray:
         """Return the controls of all actuators, (n, nu): as logged, or for the logged torques.
 
-        held: the controls of actuators without a column, (nu,).
+        key_ctrl: the controls of actuators without a column, (nu,).
 
         Raises ValueError for a log that drives nothing, and for a missing control.
         """
@@ -611,7 +605,7 @@ class Log:
                 cure += f", or follow the positions: --follow {self.path or 'FILE'} (follow=)"
             raise ValueError(f"{self.source}: has no controls: {had}: {cure}")
         count = next(len(array) for array in placed.arrays.values())
-        rows = np.tile(held, (count, 1))
+        rows = np.tile(key_ctrl, (count, 1))
         for k, (title, values) in played.items():
             bad = np.flatnonzero(~np.isfinite(values))
             if len(bad):
@@ -624,8 +618,8 @@ class Log:
         """Return the start with the positions and velocities of the first row, if it has these."""
         arrays = self.placed(model).arrays
         rows = {key: arrays[key][0] for key in ("qpos", "qvel") if key in arrays}
-        own = {key: np.where(np.isfinite(r), r, getattr(home, key)) for key, r in rows.items()}
-        return replace(home, **own)
+        state = {key: np.where(np.isfinite(r), r, getattr(home, key)) for key, r in rows.items()}
+        return replace(home, **state)
 
 
 def spellings(title: str) -> Iterator[tuple[str, str]]:
@@ -639,7 +633,7 @@ def spellings(title: str) -> Iterator[tuple[str, str]]:
         yield text, ""
         match = UNIT.fullmatch(text)
         unit = next(filter(None, match.groups()[1:]), "") if match else ""
-        if match and (plain(unit) in UNITS or text.endswith(("]", ")"))):
+        if match and (plain_unit(unit) in UNITS or text.endswith(("]", ")"))):
             yield match["name"], unit
         text = text.partition("/")[2]
 

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from stepcore import checks, files
-from stepcore.engine.trajectory import KIND, Trajectory, acting
+from stepcore.engine.trajectory import KIND, Trajectory, from_instant
 from stepcore.needs import need
 
 ENDINGS = (".csv", ".npz", ".npy", ".parquet", ".mcap")
@@ -122,7 +122,7 @@ def content_of(source: Any, name: str) -> Content:
     if isinstance(source, (str, os.PathLike)):
         return _of_file(os.fsdecode(source), name)
     if isinstance(source, Trajectory):
-        arrays = {key: acting(key, array) for key, array in source.data.items() if array.ndim == 2}
+        arrays = {key: from_instant(key, a) for key, a in source.data.items() if a.ndim == 2}
         return Content({"time": source.time, **arrays}, {"time": "s"})
     if isinstance(source, Mapping):
         return _of_columns(name, source)
@@ -152,12 +152,12 @@ def _of_file(path: str, name: str) -> Content:
         return _of_messages(file, topic, taken)
     if file.endswith(".csv"):
         try:
-            return _of_text(name, _decoded(files.read(file, TABLE)))
+            return _of_text(name, _decoded(files.contents(file, TABLE)))
         except csv.Error as error:
             raise ValueError(f"{name}: is not {TABLE}: {checks.one_line(error)}") from None
     if file.endswith(".parquet"):
         parquet = need("pyarrow.parquet", f"reading {checks.cut(file, 80)}", "data")
-        data = files.read(file, TABLE)
+        data = files.contents(file, TABLE)
         try:
             columns = parquet.read_table(io.BytesIO(data)).to_pydict()
         except (ValueError, TypeError, OSError) as error:
@@ -175,14 +175,14 @@ def _of_file(path: str, name: str) -> Content:
 # --- columns --------------------------------------------------------------------------------------
 
 
-def _of_columns(name: str, given: Mapping[Any, Any]) -> Content:
+def _of_columns(name: str, columns: Mapping[Any, Any]) -> Content:
     """Return columns of the same length; a single number applies to all rows.
 
     Arrays "position", "velocity" and "effort" next to a list of names have a column for each name.
     """
     content = Content({})
-    names = next((list(map(str, given[key])) for key in NAMES if key in given), None)
-    for title, values in given.items():
+    names = next((list(map(str, columns[key])) for key in NAMES if key in columns), None)
+    for title, values in columns.items():
         array = _numbers(name, str(title), values, content)
         if str(title) in NAMES:
             continue
@@ -208,8 +208,8 @@ def _numbers(name: str, title: str, values: Any, content: Content) -> np.ndarray
     array = values if isinstance(values, np.ndarray) else _array(name, title, values)
     if array.dtype.kind in "Mm":
         content.units[title] = "s"
-        whole = array.astype(f"{array.dtype.kind}8[ns]").astype(np.int64)
-        return np.where(np.isnat(array), np.nan, 1e-9 * whole)
+        ticks = array.astype(f"{array.dtype.kind}8[ns]").astype(np.int64)
+        return np.where(np.isnat(array), np.nan, 1e-9 * ticks)
     if array.dtype.kind in "OUS" and array.ndim == 1:
         return np.array([*_cells(title, enumerate(array.tolist()), content)])
     if array.dtype.kind in "OUScV":
@@ -230,7 +230,7 @@ def _cells(title: str, cells: Iterable[tuple[int, Any]], content: Content) -> It
     """Yield the numbers of cells; cells: pairs of place and cell."""
     for place, cell in cells:
         try:
-            yield number(cell)
+            yield parse_number(cell)
         except ValueError:
             moment = _moment(cell)
             if moment is None:
@@ -240,7 +240,7 @@ def _cells(title: str, cells: Iterable[tuple[int, Any]], content: Content) -> It
             yield math.nan if moment is None else moment
 
 
-def number(cell: Any) -> float:
+def parse_number(cell: Any) -> float:
     """Return the number of a cell, with a decimal point or comma; NaN for an empty one.
 
     Raises ValueError for other texts.
@@ -295,8 +295,8 @@ def _of_text(name: str, text: str) -> Content:
     lines = [(k, line.strip(" ")) for k, line in lines if line.strip()]
     body = [(k, line) for k, line in lines if not line.startswith(COMMENTS)]
     # Decimal commas are in fewer lines than the separator of cells: not in the names.
-    found = {mark: sum(mark in line for _, line in body) for mark in "\t;,"}
-    separator = max(found, key=lambda mark: found[mark]) if any(found.values()) else " "
+    counts = {mark: sum(mark in line for _, line in body) for mark in "\t;,"}
+    separator = max(counts, key=lambda mark: counts[mark]) if any(counts.values()) else " "
     rows = [(k, _split(line, separator)) for k, line in body]
     first = next((n for n, (_, cells) in enumerate(rows) if _is_data(cells)), len(rows))
     above, data = [cells for _, cells in rows[:first]], rows[first:]
@@ -335,8 +335,8 @@ def _of_rows(
     else:
         # The index that pandas writes has no name.
         content.columns.pop("", None)
-    told = zip(titles, units, strict=False)
-    content.units |= {title: unit for title, unit in told if plain(unit)}
+    pairs = zip(titles, units, strict=False)
+    content.units |= {title: unit for title, unit in pairs if plain_unit(unit)}
     return content
 
 
@@ -350,22 +350,22 @@ def _split(line: str, separator: str) -> list[str]:
 def _is_data(cells: Sequence[str]) -> bool:
     """Return whether half of the cells or more are numbers, dates or empty, and not all empty."""
     there = [cell for cell in cells if cell.lower() not in MISSING]
-    known = sum(_is_number(cell) or _moment(cell) is not None for cell in there)
-    return known > 0 and 2 * (known + len(cells) - len(there)) >= len(cells)
+    count = sum(_is_number(cell) or _moment(cell) is not None for cell in there)
+    return count > 0 and 2 * (count + len(cells) - len(there)) >= len(cells)
 
 
 def _is_number(cell: str) -> bool:
     try:
-        return math.isfinite(number(cell))
+        return math.isfinite(parse_number(cell))
     except ValueError:
         return False
 
 
 def _are_units(cells: Sequence[str]) -> bool:
-    return 2 * sum(plain(cell) in UNITS for cell in cells) >= len(cells)
+    return 2 * sum(plain_unit(cell) in UNITS for cell in cells) >= len(cells)
 
 
-def plain(unit: str) -> str:
+def plain_unit(unit: str) -> str:
     """Return a unit in the form of the keys of `UNITS`."""
     return unit.strip("[]() ").lower()
 
@@ -380,10 +380,10 @@ def _of_messages(path: str, topic: str | None, taken: str) -> Content:
     lists of numbers alone. taken: the list to read, if one was chosen.
     """
     reader = need("mcap.reader", f"reading {checks.cut(path, 80)}", "mcap")
-    found: dict[str, list[tuple[int, dict[str, Any]]]] = {}
+    topics: dict[str, list[tuple[int, dict[str, Any]]]] = {}
     unread, begin, decoders = set(), 0, dict[int, Any]()
     try:
-        with files.opened(path, "a log", sys.maxsize) as (file, _):
+        with files.open_regular(path, "a log", sys.maxsize) as (file, _):
             for _, _, message in reader.make_reader(file).iter_messages():
                 begin = message.log_time
                 break
@@ -396,30 +396,30 @@ def _of_messages(path: str, topic: str | None, taken: str) -> Content:
                 if decode is None:
                     unread.add(f"{channel.topic} ({channel.message_encoding})")
                 elif row := _message(decode(message.data), taken):
-                    found.setdefault(channel.topic, []).append((message.log_time, row))
+                    topics.setdefault(channel.topic, []).append((message.log_time, row))
     except (OSError, ImportError):
         raise
     except Exception as error:  # mcap raises its errors, and errors of struct and json
         raise ValueError(f"{path}: {checks.one_line(error)}") from None
-    chosen = OWN if OWN in found else min(found, default="")
-    if len(found) > 1 and chosen != OWN:
+    chosen = OWN if OWN in topics else min(topics, default="")
+    if len(topics) > 1 and chosen != OWN:
         raise ValueError(
-            f"{path}: has numbers in {', '.join(sorted(found))}: choose one, as in log.mcap:/TOPIC"
+            f"{path}: has numbers in {', '.join(sorted(topics))}: choose one, as in log.mcap:/TOPIC"
         )
-    if not found:
+    if not topics:
         other = f"; not read: {', '.join(sorted(unread))}" if unread else ""
         raise ValueError(
             f"{path}: has no messages with numbers by name, or lists of numbers{other}"
         )
-    rows = [row for _, row in found[chosen]]
+    rows = [row for _, row in topics[chosen]]
     if any(row.keys() != rows[0].keys() for row in rows):
         raise ValueError(f"{path}: not all messages of {chosen} have the numbers of the first")
     content = _of_columns(path, {key: [row[key] for row in rows] for key in rows[0]})
     # Times count from the file's first message, so that topics can be compared.
-    content.columns["time"] = 1e-9 * np.array([at - begin for at, _ in found[chosen]], float)
+    content.columns["time"] = 1e-9 * np.array([at - begin for at, _ in topics[chosen]], float)
     content.units["time"] = "s"
     if chosen == OWN:
-        content.columns |= {key: acting(key, content.columns[key]) for key in rows[0]}
+        content.columns |= {key: from_instant(key, content.columns[key]) for key in rows[0]}
     return content
 
 

@@ -132,9 +132,9 @@ class Motion:
         drives = {name: getattr(self, name) for name in ("kind", "follow", "control", "ctrl")}
         if self.follow is not None and isinstance(self.ctrl, PositionTable):
             del drives["ctrl"]
-        given = [name for name, value in drives.items() if value is not None]
-        if len(given) > 1:
-            raise ValueError(f"{given[0]} and {given[1]} are both given: a motion has one of them")
+        ways = [name for name, value in drives.items() if value is not None]
+        if len(ways) > 1:
+            raise ValueError(f"{ways[0]} and {ways[1]} are both given: a motion has one of them")
         if isinstance(self.ctrl, str) and self.ctrl in KINDS:
             raise ValueError(
                 f'ctrl = {self.ctrl!r}: write kind="{self.ctrl}" (--motion {self.ctrl})'
@@ -183,7 +183,7 @@ class Motion:
         """
         if self.control_dt is not None or self.control is not None:
             return self.control_dt or dt
-        if self.table is None or not self.table.changes:
+        if self.table is None or not self.table.varies:
             return None
         linear = self.table.times is not None and self.interpolation == "linear"
         return None if linear else self.table.period(dt)
@@ -192,29 +192,29 @@ class Motion:
     def of(
         cls,
         motion: Motion | str | None,
-        given: Mapping[str, Any],
+        keywords: Mapping[str, Any],
         measurement: Callable[..., Any],
     ) -> Motion:
         """Return the motion of a call of a measurement, from a Motion or from its fields.
 
         motion: the Motion, a kind of motion, or None.
-        given: the keyword arguments that the measurement itself does not define.
+        keywords: the arguments that the measurement itself does not define.
         measurement: the function that was called. Its signature has the fields of Motion that the
             measurement uses (`takes_motion`).
 
         Raises TypeError for an unknown argument, with the nearest name. Raises ValueError if a
         Motion and fields are both given, or if a field is set that the measurement does not use.
         """
-        refuse_unknown(measurement, given)
+        refuse_unknown(measurement, keywords)
         if isinstance(motion, str):
-            given, motion = {"kind": motion, **given}, None
+            keywords, motion = {"kind": motion, **keywords}, None
         if motion is None:
-            return cls(**given)
+            return cls(**keywords)
         if not isinstance(motion, Motion):
             raise ValueError(f"motion = {checks.shown(motion)}: must be a stepcore.Motion")
-        if given:
+        if keywords:
             raise ValueError(
-                f"motion and {min(given)} are both given: write {min(given)} into the Motion"
+                f"motion and {min(keywords)} are both given: write {min(keywords)} into the Motion"
             )
         name, takes = measurement.__name__, inspect.signature(measurement).parameters
         for word in (field.name for field in fields(cls) if field.name not in takes):
@@ -248,7 +248,7 @@ def takes_motion(
     """
 
     def spelled_out(measurement: F) -> F:
-        own = [field for field in fields(Motion) if field.name not in without]
-        return spell_out(measurement, [*more, *(keyword(f.name, f.default, f.type) for f in own)])
+        used = [field for field in fields(Motion) if field.name not in without]
+        return spell_out(measurement, [*more, *(keyword(f.name, f.default, f.type) for f in used)])
 
     return spelled_out

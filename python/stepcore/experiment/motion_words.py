@@ -59,8 +59,8 @@ def held_in_words(model: Model, ctrl: np.ndarray) -> str:
     """Describe constant controls, shape (nu,)."""
     if model.nu == 0:
         return "no motors"
-    what = actuators_in_words(model)
-    return f"{what} hold the keyframe's controls" if np.any(ctrl) else f"{what} are held at zero"
+    words = actuators_in_words(model)
+    return f"{words} hold the keyframe's controls" if np.any(ctrl) else f"{words} are held at zero"
 
 
 def held_motion_in_words(
@@ -79,15 +79,15 @@ def drive_in_words(model: Model, motion: Motion, drive: str, sampled: str) -> st
     """
     if model.nu == 0:
         return "no motors"
-    what = actuators_in_words(model)
+    drives = actuators_in_words(model)
     if motion.control is not None:
-        return f"{what} driven by {control_name(motion.control)}, sampled {sampled}"
+        return f"{drives} driven by {control_name(motion.control)}, sampled {sampled}"
     if (table := motion.table) is not None:
-        if not table.changes:
-            return f"{what} hold {table.constants}"
+        if not table.varies:
+            return f"{drives} hold {table.constants}"
         source = "the controls given" if table.source == "ctrl" else table.source
         verb = "follow the positions of" if motion.follow is not None else "driven by"
         read = f" ({table.told(model)})" if table.pace else ""
         pace = f", a row {sampled}" if motion.control_dt is not None or not table.pace else ""
-        return f"{what} {verb} {source}{read}{pace}"
+        return f"{drives} {verb} {source}{read}{pace}"
     return drive

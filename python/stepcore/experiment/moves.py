@@ -22,30 +22,26 @@ import numpy as np
 
 from stepcore._core import SimulationError
 from stepcore.checks import one_line
-from stepcore.engine.actuator import MOTOR, SERVO, VELOCITY_SERVO, Actuator, actuators, loads
+from stepcore.engine.actuator import MOTOR, SERVO, VELOCITY_SERVO, Actuator, actuators, hold_load
 from stepcore.engine.coordinates import Coordinates, rotated
 from stepcore.engine.follow import Followed, follow
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
 from stepcore.experiment.change import Change, Servo
-from stepcore.experiment.control_table import LONGEST, ControlLog, Controls
+from stepcore.experiment.control_table import MOST_DT, ControlLog, Controls
 
 # The duration of a move, and the duration of the rest after it [s].
-MOVE, REST = 0.8, 0.2
+MOVE, WAIT = 0.8, 0.2
 # The longest time for which a target is held [s]. In 8 ms, a pose that moves at 1 rad/s would jump
 # by 8 mrad, to which a stiff servo responds with its whole force.
 HELD = 1e-3
-# The largest move of a joint: this share of its range, and at most this [rad], [m]. A base on
-# contacts moves as far as a fifth of that permits (Go2's joints by 0.26 rad; without it by 0.34).
-SHARE, TURN, SLIDE, BASE = 0.1, 0.5, 0.05, 0.2
-# The largest bandwidth of the servos made here [rad/s], and the largest 2 ω μ T.
-OMEGA, SAMPLED = 30.0, 0.7
-# The largest force, as a share of the range that holding the start leaves; the largest share of a
-# run in which an actuator is saturated (Panda's light wrist: 4 %, at the speed of a start).
-LEFT, FULL = 0.5, 0.05
+# The largest move of a joint: this share of its range, and at most this [rad], [m].
+RANGE_SHARE, MAX_TURN, MAX_SLIDE = 0.1, 0.5, 0.05
+# The largest force, as a share of the range that holding the start leaves.
+FORCE_SHARE = 0.5
 # The parts of a move that are tried, also in the opposite direction, before the start is held.
-FACTORS = (1.0, -1.0, 0.5, -0.5, 0.25, -0.25, 0.125, -0.125)
+MOVE_PARTS = (1.0, -1.0, 0.5, -0.5, 0.25, -0.25, 0.125, -0.125)
 # Speeds and forces before this time [s] do not count: the start may jump to its servos' targets, or
 # out of an overlap. Contacts are examined at this interval.
 SHOCK = 0.1
@@ -61,7 +57,7 @@ def profile(times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     times: since the beginning [s].
     """
-    turn, within = np.divmod(times, MOVE + REST)
+    turn, within = np.divmod(times, MOVE + WAIT)
     x = np.minimum(within / MOVE, 1.0)
     way = x**3 * (10 + x * (6 * x - 15))
     rate = 30 * x**2 * (1 - x) ** 2 / MOVE
@@ -111,7 +107,7 @@ class Moves:
         driven = self.of(SERVO, VELOCITY_SERVO, MOTOR)
         self.joints = sorted({drive.joint for drive in driven if drive.joint is not None})
         self.others = [drive for drive in driven if drive.joint is None]
-        self.dofs, self.roots = model.jnt_dofadr[self.joints], roots(model, self.drives)
+        self.dofs, self.roots = model.jnt_dofadr[self.joints], driven_roots(model, self.drives)
         self.about = moves_about(model, self.drives)
         self.of_root = np.array([model.root(body) for body in model.geom_body.tolist()], int)
         self.kept = self._jacobian(home, touching(_put(Sim(model), home)))
@@ -119,7 +115,7 @@ class Moves:
         self.servos = tuple(self._servos())
         self.driven = Change(servos=self.servos).of(model)
         still = np.zeros((1, model.nu))
-        (self.held,) = self.trials([home], still, still, 2 * (MOVE + REST))
+        (self.held,) = self.trials([home], still, still, 2 * (MOVE + WAIT))
         if self.held.fell is None and self.held.end is not None:
             self.kept = self._jacobian(self.held.end, self.held.points)
 
@@ -149,12 +145,13 @@ class Moves:
         inverse = np.linalg.inv(sim.mass_matrix())
         inertia = 1.0 / np.diag(inverse)[dofs]
         largest = float(np.abs(np.linalg.eigvals(inverse[np.ix_(dofs, dofs)] * inertia)).max())
-        omega = min(OMEGA, SAMPLED / (2 * largest * LONGEST * model.settings.dt))
-        load = resting(sim, dofs, self.kept)
-        for motor, own, force in zip(motors, inertia.tolist(), load.tolist(), strict=True):
+        # At most 30 rad/s, and at most 2 ω μ T = 0.7.
+        omega = min(30.0, 0.7 / (2 * largest * MOST_DT * model.settings.dt))
+        load = support(sim, dofs, self.kept)
+        for motor, effective, force in zip(motors, inertia.tolist(), load.tolist(), strict=True):
             # Several motors on a joint share its force.
             k, share = motor.index, 1 / dofs.count(motor.dof)
-            kp, kv = (gain * own * share / motor.gear**2 for gain in (omega**2, 2 * omega))
+            kp, kv = (gain * effective * share / motor.gear**2 for gain in (omega**2, 2 * omega))
             target = motor.gear * self.home.qpos[motor.qposadr]
             self.ctrl[k], self.lag[k] = target + force * share / motor.gear / kp, kv / kp
             yield Servo(model.actuator_names[k] or k, kp, kv, motor.forces)
@@ -176,12 +173,14 @@ class Moves:
         """Draw a random change of the pose, (nv,), of the joints that actuators drive."""
         model, q = self.model, self.home.qpos[self.model.jnt_qposadr[self.joints]]
         low, high = model.jnt_range[self.joints].reshape(-1, 2).T
-        far = [TURN if model.jnt_type[joint] == "hinge" else SLIDE for joint in self.joints]
+        far = [MAX_TURN if model.jnt_type[joint] == "hinge" else MAX_SLIDE for joint in self.joints]
         weights = np.zeros(model.nv)
         for kind, _, v, _ in self.coordinates.joints if len(self.kept) else ():
             if kind == "free":
-                weights[v : v + 6] = np.repeat((SLIDE, BASE * TURN), 3)
-        weights[self.dofs] = np.minimum(far, SHARE * (high - low))
+                # A base on contacts turns by at most a fifth as much as a joint (Go2's joints then
+                # move by 0.26 rad; without this limit by 0.34).
+                weights[v : v + 6] = np.repeat((MAX_SLIDE, 0.2 * MAX_TURN), 3)
+        weights[self.dofs] = np.minimum(far, RANGE_SHARE * (high - low))
         change = rng.uniform(0.5, 1.0, model.nv) * rng.choice([-1.0, 1.0], model.nv) * weights
         low, high = np.minimum(q, low), np.maximum(q, high)
         kept = self._keeping(change, weights, rng) if len(self.kept) else None
@@ -225,7 +224,7 @@ class Moves:
         ways = after - self.lengths(self.home.qpos)
         for drive in self.others:
             wide = np.ptp(drive.ctrlrange) * (drive.gain / drive.kp if drive.kp else math.inf)
-            ways[drive.index] = share * (SHARE * wide if math.isfinite(wide) else SLIDE)
+            ways[drive.index] = share * (RANGE_SHARE * wide if math.isfinite(wide) else MAX_SLIDE)
         spans, rates = np.zeros(self.model.nu), np.zeros(self.model.nu)
         for drive in self.of(SERVO, VELOCITY_SERVO, MOTOR):
             k = drive.index
@@ -253,17 +252,17 @@ class Moves:
         starts: Sequence[Start],
         spans: np.ndarray,
         rates: np.ndarray,
-        horizon: float = MOVE + REST,
+        horizon: float = MOVE + WAIT,
     ) -> list[Seen]:
         """Run moves from some starts under the model's settings, all at once; see `log`."""
         model, dt = self.model, self.model.settings.dt
         every = max(1, round(SAMPLE / dt))
         steps = every * max(1, round(horizon / (every * dt)))
         log = self.log(spans, rates, steps * dt, min(HELD, dt))
-        rows, held = Controls(log).rows(range(len(starts)), dt, steps)
+        rows, repeats = Controls(log).rows(range(len(starts)), dt, steps)
         record = ("qpos", "qvel", "act", "actuator_force")
         try:
-            ran = follow(self.driven, starts, steps, every, ctrl=rows, hold=held, record=record)
+            ran = follow(self.driven, starts, steps, every, ctrl=rows, hold=repeats, record=record)
         except (SimulationError, ValueError) as error:
             nothing = Seen(np.zeros(model.nu), np.zeros(model.nu), np.zeros(model.nv))
             return [replace(nothing, failure=one_line(error)) for _ in starts]
@@ -273,9 +272,9 @@ class Moves:
 
     def _seen(self, sim: Sim, ran: Followed, k: int, start: Start) -> Seen:
         """Measure a run: forces and speeds at its samples, contacts at some of them."""
-        model, made = self.model, np.isfinite(ran["qvel"][k]).all(axis=-1)
-        qpos, qvel, act, force = (ran[name][k][made] for name in ran.data)
-        times, bounds = ran.times[made], np.array([drive.bound for drive in self.drives])
+        model, finite = self.model, np.isfinite(ran["qvel"][k]).all(axis=-1)
+        qpos, qvel, act, force = (ran[name][k][finite] for name in ran.data)
+        times, bounds = ran.times[finite], np.array([drive.bound for drive in self.drives])
         bounds = np.where(np.isfinite(bounds) & (bounds > 0), bounds, np.inf)
         late = times > SHOCK if times[-1] > SHOCK else times > 0
         shares = np.abs(force[late]) / bounds
@@ -345,10 +344,10 @@ class Moves:
         def tried(some: Sequence[int]) -> dict[int, Seen]:
             """Return the trials of some starts, with their part of the move."""
             spans, rates = np.clip(part * ways, low, high)[some], (part * speeds)[some]
-            made = self.trials([starts[k] for k in some], spans, rates)
-            return dict(zip(some, made, strict=True))
+            runs = self.trials([starts[k] for k in some], spans, rates)
+            return dict(zip(some, runs, strict=True))
 
-        for factor in FACTORS:
+        for factor in MOVE_PARTS:
             if not todo:
                 break
             part[todo] = factor
@@ -369,8 +368,9 @@ class Moves:
 
     def _trouble(self, seen: Seen, alone: Seen) -> bool:
         """Return whether a move demands too much; alone: the trial without it."""
-        over = (seen.force > alone.force + LEFT * (1 - alone.force)) | (
-            seen.full > alone.full + FULL
+        over = (seen.force > alone.force + FORCE_SHARE * (1 - alone.force)) | (
+            # Panda's light wrist is saturated in 4 % of a run, at the speed of a start.
+            seen.full > alone.full + 0.05
         )
         met = seen.met - alone.met - self.held.met
         left = self.about and bool(alone.ends_on - seen.ends_on)
@@ -397,7 +397,7 @@ class Chosen:
         return int((moved <= 1e-6).sum())
 
 
-def roots(model: Model, drives: Sequence[Actuator]) -> set[int]:
+def driven_roots(model: Model, drives: Sequence[Actuator]) -> set[int]:
     """Return the roots of the trees whose joints actuators drive."""
     joints = {drive.joint for drive in drives if drive.joint is not None}
     return {model.root(int(model.jnt_body[joint])) for joint in joints}
@@ -405,16 +405,16 @@ def roots(model: Model, drives: Sequence[Actuator]) -> set[int]:
 
 def moves_about(model: Model, drives: Sequence[Actuator]) -> bool:
     """Return whether the actuators are on a body that moves freely, or on undriven slides."""
-    driven, trees = {drive.joint for drive in drives}, roots(model, drives)
+    driven, trees = {drive.joint for drive in drives}, driven_roots(model, drives)
     return any(
         body in trees and model.jnt_type[joint] in ("free", "slide") and joint not in driven
         for joint, body in enumerate(model.jnt_body.tolist())
     )
 
 
-def resting(sim: Sim, dofs: Sequence[int], contacts: np.ndarray) -> np.ndarray:
+def support(sim: Sim, dofs: Sequence[int], contacts: np.ndarray) -> np.ndarray:
     """Return the force on each of some dofs that a Sim's pose needs at rest [N or N·m]."""
-    need = loads(sim)
+    need = hold_load(sim)
     if len(contacts):
         others = np.setdiff1d(np.arange(sim.model.nv), dofs)
         push = np.linalg.lstsq(contacts[:, others].T, need[others], rcond=1e-8)[0]

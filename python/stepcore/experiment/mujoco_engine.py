@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from stepcore import checks
-from stepcore.engine.control import ControlError, controls, fresh
+from stepcore.engine.control import ControlError, evaluate_control, new_control
 from stepcore.engine.coordinates import Coordinates
 from stepcore.engine.model import Model
 from stepcore.engine.norm import Matter, Tracks
@@ -38,7 +38,7 @@ from stepcore.engine.trajectory import OF_WORLDS, recordable
 from stepcore.executors import checkpoint
 from stepcore.experiment.change import Change
 from stepcore.experiment.control_table import Controls, PositionTable
-from stepcore.experiment.default_motion import Asked, by_rule
+from stepcore.experiment.default_motion import MotionRequest, by_rule
 from stepcore.experiment.elements import Elements, Source, contact_force
 from stepcore.experiment.engines import (
     RECORDED,
@@ -54,9 +54,9 @@ from stepcore.experiment.schedule import (
     FINEST,
     HORIZON,
     Schedule,
-    given_controls,
     laid_out,
-    near,
+    random_start,
+    user_controls,
 )
 from stepcore.experiment.sizes import scene_size
 from stepcore.loading import find_asset, find_model, find_scene
@@ -331,7 +331,7 @@ class MuJoCo(Engine):
             if function is not None:
                 shown.qpos, shown.qvel, shown.time = world.data.qpos, world.data.qvel, done * dt
                 shown.forward()
-                ctrl[:] = controls(function, shown)
+                ctrl[:] = evaluate_control(function, shown)
             elif rows is not None:
                 held = np.arange(done, done + len(ctrl)) // hold
                 ctrl[:] = rows[0, np.minimum(held, rows.shape[1] - 1)]
@@ -367,10 +367,10 @@ class MuJoCo(Engine):
         dt, every, hold = float(self.settings(change).dt), course.every, course.hold
         table, function = None if course.ctrl is None else course.ctrl[0], None
         if course.control is not None:
-            function, shown = fresh(course.control), unwatched(Sim(self.model))
+            function, shown = new_control(course.control), unwatched(Sim(self.model))
             start.put(shown)
         samples, done, failure = list[dict[str, np.ndarray]](), 0, ""
-        with self._world(change) as world:
+        with self.world(change) as world:
             world.begin(start)
             data, samples = world.data, [world.sample()]
             home = data.xpos.copy()
@@ -378,7 +378,7 @@ class MuJoCo(Engine):
                 if function is not None and done % hold == 0:
                     shown.qpos, shown.qvel, shown.time = data.qpos, data.qvel, done * dt
                     shown.forward()
-                    data.ctrl[:] = controls(function, shown)
+                    data.ctrl[:] = evaluate_control(function, shown)
                 elif table is not None:
                     data.ctrl[:] = table[min(done // hold, len(table) - 1)]
                 # Until the next sample, or the next row of controls.
@@ -399,7 +399,7 @@ class MuJoCo(Engine):
         return Recording(every * dt * np.arange(len(arrays["qpos"])), arrays, why, done * dt)
 
     def inertia(self, start: Start) -> np.ndarray:
-        with self._world(Change()) as world:
+        with self.world(Change()) as world:
             world.begin(start)
             mujoco().mj_forward(world.model, world.data)
             column, diagonal = np.zeros(self.nv), np.zeros(self.nv)
@@ -409,7 +409,7 @@ class MuJoCo(Engine):
         return diagonal
 
     def operations_at(self, start: Start, ctrl: np.ndarray | None = None) -> float:
-        with self._world(Change()) as world:
+        with self.world(Change()) as world:
             state, row = world.begin(start), np.zeros(self.scene.nu)
             # The second step is warm-started from the first one's forces.
             world.roll(state, np.stack(2 * [row if ctrl is None else ctrl]))
@@ -902,16 +902,16 @@ def _scheduled(
 
     def drive(begin: Sequence[Start], periods: int) -> Controls:
         if motion.ctrl is not None:
-            return given_controls(motion, drives, held, period)
+            return user_controls(motion, drives, held, period)
         free = scene.opt.disableflags & int(mujoco().mjtDisableBit.mjDSBL_CLAMPCTRL)
         clamped = scene.actuator_ctrllimited & (not free)
         ranges = np.where(clamped[:, None], scene.actuator_ctrlrange, (-np.inf, np.inf))
-        asked = Asked(first, held, begin, motion.seed, period, periods, True)
+        asked = MotionRequest(first, held, begin, motion.seed, period, periods, True)
         return by_rule(kind, "actuators", drives.called("actuator"), ranges, asked)
 
     dt = float(scene.opt.timestep)
     moving = scene.dof_damping * dt <= FINEST * scene.dof_M0
-    nearby = partial(near, coordinates, first, moving, _overlaps(scene), 1e-4)
+    nearby = partial(random_start, coordinates, first, moving, _overlaps(scene), 1e-4)
     return laid_out(motion, dt, first, nearby, drive, period, starts, horizon)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from stepcore._core import SimulationError
 from stepcore.checks import one_line
 from stepcore.engine.arrays import Floats
-from stepcore.engine.control import Control, ControlError, controls, fresh
+from stepcore.engine.control import Control, ControlError, evaluate_control, new_control
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.change import Change
@@ -281,7 +281,7 @@ class Motions:
         self.starts[0].put(sim)
         rows, _ = self.schedule.controls.rows([0], self.engine.dt, 1)
         if self.users is not None:
-            sim.ctrl = controls(fresh(self.users), sim)
+            sim.ctrl = evaluate_control(new_control(self.users), sim)
         elif rows is not None:
             sim.ctrl[:] = rows[0, 0]
         return np.array(sim.ctrl)

@@ -94,7 +94,7 @@ def policy(
     >>> Motion(control=policy("walk.onnx"), control_dt=0.02).control
     policy('walk.onnx')
     """
-    source = files.path("path", path)
+    source = files.as_path("path", path)
     if not source.endswith(ENDINGS):
         raise ValueError(f"path = {checks.shown(source)}: must end in {', '.join(ENDINGS)}")
     return Policy(source, observe, act)

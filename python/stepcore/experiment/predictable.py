@@ -21,17 +21,15 @@ from typing import TypeVar
 
 import numpy as np
 
-from stepcore.engine.norm import Matter, Tracks, apart
+from stepcore.engine.norm import Matter, Tracks, distances
 from stepcore.experiment.change import Change
 from stepcore.experiment.engines import Engine
 from stepcore.experiment.quantity import Measure
 from stepcore.experiment.schedule import Schedule
 from stepcore.report.units import counted, seconds
 
-# The common shift of all runs, relative to the scene's size or in radians.
-ASIDE = 1e-6
 # The time between samples is at most this [s].
-APART = 0.02
+SAMPLE_TIME = 0.02
 # The growth above which a motion counts as unpredictable.
 GROWTH = 1e3
 # Two motions agree on the end of a start to this share of the time; closely to a quarter of it.
@@ -60,8 +58,8 @@ class Growth:
 
     def some(self, indices: Sequence[int]) -> Growth:
         """Return the growth from some of the starts, by their indices."""
-        own = list(indices)
-        return Growth(self.times, self.factor[own], self.ends[own], self.failure)
+        chosen = list(indices)
+        return Growth(self.times, self.factor[chosen], self.ends[chosen], self.failure)
 
     @classmethod
     def joined(cls, parts: Sequence[Growth]) -> Growth:
@@ -117,13 +115,14 @@ def growths(
 
     measure: the series whose distance grows, by default the motion.
     """
-    schedule = max(schedules, key=lambda longest: longest.periods)
+    schedule = max(schedules, key=lambda entry: entry.periods)
     # Samples are at most 20 ms apart, and include the schedule's.
-    most = max(1, int(APART / schedule.period + 1e-9))
+    most = max(1, int(SAMPLE_TIME / schedule.period + 1e-9))
     every = max(n for n in range(1, schedule.every + 1) if schedule.every % n == 0 and n <= most)
     sampled = dataclasses.replace(schedule, every=every)
     moved, rng, count = engine.coordinates, np.random.default_rng(0), len(starts)
-    aside = ASIDE * moved.drawn(rng, size, 1.0)
+    # The common shift of all runs, relative to the scene's size or in radians.
+    aside = 1e-6 * moved.drawn(rng, size, 1.0)
     nudges = [np.zeros(moved.nv)]
     nudges += [
         engine.nearby * moved.scaled(rng.choice([-1.0, 1.0], moved.nv), size, 1.0)
@@ -136,7 +135,7 @@ def growths(
     ]
     both = dataclasses.replace(sampled.picked([*starts] * len(nudges)), starts=tuple(begin))
     runs = engine.follow(change, both, both.indices, first=0)
-    lengths = [dataclasses.replace(sampled, periods=s.periods).times for s in schedules]
+    lengths = [dataclasses.replace(sampled, periods=entry.periods).times for entry in schedules]
     alike = [runs.some(range(k, len(runs), count)) for k in range(count)]
     parts = [each.first(1 + len(times)) for each, times in zip(alike, lengths, strict=True)]
     if measure is None:
@@ -169,33 +168,33 @@ def _grown(runs: Tracks, times: np.ndarray, matter: Matter) -> Growth:
     for k in range(1, len(runs)):
         # A perturbed rotation moves bodies by other distances than the perturbation, so growth is
         # relative to the distance of the runs at the start.
-        away = apart(base, runs.some([k]), matter).max(axis=2)
+        away = distances(base, runs.some([k]), matter).max(axis=2)
         factor = np.maximum(factor, away[:, 1:] / np.maximum(away[:, :1], 1e-300))
     return Growth(times, factor, np.array([_end(times, factor[0])]), base.failure)
 
 
-def settled(
+def converged_growth(
     engine: Engine,
     changes: Iterable[Change],
     schedule: Schedule,
     starts: Sequence[int],
     size: float,
     directions: int = 1,
-    whole: Growth | None = None,
+    full: Growth | None = None,
 ) -> tuple[Growth, Change]:
-    """Measure the growth at shorter and shorter steps, as `settling` requests it."""
-    asking = settling(changes, schedule, len(starts), whole)
-    asked = next(asking)
+    """Measure the growth at shorter and shorter steps, as `growth_requests` requires."""
+    asking = growth_requests(changes, schedule, len(starts), full)
+    request = next(asking)
     while True:
         try:
-            asked = asking.send(growth(engine, *asked, starts, size, directions))
+            request = asking.send(growth(engine, *request, starts, size, directions))
         except StopIteration as end:
-            found, change, _ = end.value
-            return found, change
+            grown, change, _ = end.value
+            return grown, change
 
 
-def settling(
-    changes: Iterable[Change], schedule: Schedule, starts: int, whole: Growth | None = None
+def growth_requests(
+    changes: Iterable[Change], schedule: Schedule, starts: int, full: Growth | None = None
 ) -> Asking[tuple[Growth, Change, bool]]:
     """Request the growth at shorter and shorter steps, until two agree on the ends of starts.
 
@@ -203,28 +202,28 @@ def settling(
     all end, shorter steps run for twice the time until then. The longer of two steps that agree is
     returned, with its change, as it has less rounding; and whether they agree closely.
 
-    changes: with ever shorter steps. starts: their number. whole: the growth in which all starts
+    changes: with ever shorter steps. starts: their number. full: the growth in which all starts
     end under another method, if available. A step that agrees with it is enough, and so are two
     that end earlier: the longer time is the right one.
     """
-    last, own = None, schedule if whole is None else shortened(schedule, whole)
-    known = np.zeros(starts) if whole is None else whole.ends
+    last, span = None, schedule if full is None else shortened(schedule, full)
+    previous_ends = np.zeros(starts) if full is None else full.ends
     for change in changes:
-        grown = yield change, own
-        if own is not schedule and not np.isfinite(grown.ends).all():
+        grown = yield change, span
+        if span is not schedule and not np.isfinite(grown.ends).all():
             # Starts that do not end there again may end later.
-            own = schedule
-            grown = yield change, own
+            span = schedule
+            grown = yield change, span
         if not (grown.failure or np.isfinite(grown.ends).any()):
             return grown, change, True
         if not grown.failure:
-            whole, own = whole or grown, shortened(own, grown)
-        before, last = last, (grown if whole is None else grown.then(whole), change)
-        if not grown.failure and _agree(grown.ends, known).all():
+            full, span = full or grown, shortened(span, grown)
+        before, last = last, (grown if full is None else grown.then(full), change)
+        if not grown.failure and _agree(grown.ends, previous_ends).all():
             return *last, False
         if before is not None:
             first, failed = before[0].ends, grown.failure or before[0].failure
-            short = (np.maximum(grown.ends, first) < (1 - AGREE) * known) & (not failed)
+            short = (np.maximum(grown.ends, first) < (1 - AGREE) * previous_ends) & (not failed)
             if (_agree(grown.ends, first) | short).all():
                 return *before, not failed and bool(_agree(grown.ends, first, AGREE / 4).all())
     assert last is not None
@@ -248,7 +247,7 @@ def until_in_words(
 
 def _agree(ends: np.ndarray, others: np.ndarray, share: float = AGREE) -> np.ndarray:
     """Return which starts end at the same time, to a share of it."""
-    a, b = (np.minimum(one, 1e300) for one in (ends, others))
+    a, b = (np.minimum(times, 1e300) for times in (ends, others))
     agree: np.ndarray = np.abs(a - b) <= share * np.maximum(a, b)
     return agree
 

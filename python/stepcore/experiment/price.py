@@ -13,9 +13,9 @@ import math
 from typing import Any
 
 # The time of a step and of an operation [µs]; benches/cost_of_work.py.
-STEP, OPERATION = 0.46, 2.2e-4
+STEP_TIME, OPERATION = 0.46, 2.2e-4
 # The operations that take as long as the fixed time of a step.
-OVERHEAD = STEP / OPERATION
+OVERHEAD = STEP_TIME / OPERATION
 
 
 def computing_time(work: float, settings: Any) -> float:
@@ -23,4 +23,4 @@ def computing_time(work: float, settings: Any) -> float:
 
     work: operations per simulated second. settings: of the run, with its time step.
     """
-    return OPERATION * work + STEP / float(settings.dt) if math.isfinite(work) else math.inf
+    return OPERATION * work + STEP_TIME / float(settings.dt) if math.isfinite(work) else math.inf

@@ -21,7 +21,7 @@ import numpy as np
 from stepcore import checks
 from stepcore.engine.control import ControlError
 from stepcore.engine.coordinates import rotated
-from stepcore.engine.norm import Matter, Tracks, apart, arc, largest, length, rms
+from stepcore.engine.norm import Matter, Tracks, arc, distances, largest, rms, vector_norm
 from stepcore.experiment.elements import PARTS, Elements, Source, path_in_words
 from stepcore.report import units
 
@@ -97,7 +97,7 @@ class Quantity:
         match = re.fullmatch(r"(\w+)\((.+)\)", name)
         reduction, series = match.groups() if match else ("", name)
         if reduction and reduction not in REDUCTIONS:
-            near = checks.nearest(reduction, REDUCTIONS, listed=len(REDUCTIONS))
+            near = checks.nearest(reduction, REDUCTIONS, limit=len(REDUCTIONS))
             raise ValueError(f"quantity: no reduction is called {checks.quoted(reduction)}{near}")
         if reduction and series == MOTION:
             raise ValueError(f"quantity: {name}: the motion has no {reduction}; name an element")
@@ -196,7 +196,7 @@ class Point(Column):
     def apart(self, a: Tracks, b: Tracks) -> np.ndarray:
         if self.axis is not None:
             return super().apart(a, b)
-        far = length(self.positions(a) - self.positions(b))
+        far = vector_norm(self.positions(a) - self.positions(b))
         turned = 0.0 if self.shares is not None else arc(a.quat, b.quat)[:, :, self.place]
         return np.asarray(np.hypot(far, self.radius * turned))
 
@@ -316,7 +316,7 @@ class Measure:
         A scalar of a run has one sample. The distance is infinite where a run has ended.
         """
         if self.quantity.is_motion:
-            return apart(a, b, self.matter)
+            return distances(a, b, self.matter)
         if self.quantity.plays:
             raise ValueError("quantity: the return of a task is measured by `trade` alone")
         if self.quantity.function is not None:

@@ -18,27 +18,25 @@ import numpy as np
 
 from stepcore import checks
 from stepcore._core import SimulationError
-from stepcore.engine.control import Control, control_name, fresh
+from stepcore.engine.control import Control, control_name, new_control
 from stepcore.engine.coordinates import Coordinates
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
 from stepcore.experiment.change import Change
-from stepcore.experiment.control_table import LONGEST, ControlLog, Controls, PositionTable
-from stepcore.experiment.default_motion import Asked, default_motion, followed
+from stepcore.experiment.control_table import MOST_DT, ControlLog, Controls, PositionTable
+from stepcore.experiment.default_motion import MotionRequest, default_motion, following_controls
 from stepcore.experiment.motion import Motion
 from stepcore.report import units
 from stepcore.report.units import seconds
 
 # Default time steps, relative to the shipped step.
-FACTORS = (1 / 8, 1 / 4, 1 / 2, 1.0, 2.0, LONGEST)
+FACTORS = (1 / 8, 1 / 4, 1 / 2, 1.0, 2.0, MOST_DT)
 # The approximate number of samples.
 SAMPLES = 50
 # The default horizon, approximately [s], and the default number of starts.
 HORIZON, STARTS = 1.0, 8
-# The largest distance of random starts from the keyframe: small relative to a robot, large relative
-# to the motion in one step.
-SHIFT, TURN = 1e-3, 1e-2  # [m], [rad]
+# The largest velocity of random starts.
 SPEED, SPIN = 0.05, 0.1  # [m/s], [rad/s]
 # The most steps in a control period, relative to the shipped ones. A joint that damping stops
 # within the shortest of them is locked, and starts at rest: the base of gymnasium_robotics' fetch
@@ -109,7 +107,7 @@ class Schedule:
         """The change that the controls need in the model: servos that replace its motors."""
         return Change(servos=self.controls.servos)
 
-    def on(self, model: Model) -> Model:
+    def driven_model(self, model: Model) -> Model:
         """Return the model that the controls drive: with the servos that they need."""
         if not self.controls.servos:
             return model
@@ -124,7 +122,7 @@ class Schedule:
 
     def function(self) -> Control | None:
         """Return the control function of one run, or None."""
-        return None if self.control is None else fresh(self.control)
+        return None if self.control is None else new_control(self.control)
 
     def steps(self, dt: float) -> int:
         """Return the number of time steps in one control period; dt: [s]."""
@@ -179,18 +177,18 @@ def scheduled(
 
     Raises ValueError if the horizon is shorter than a period, or the run has too many steps.
     """
-    first, held = home(model, motion.key)
+    first, key_ctrl = home(model, motion.key)
     if motion.from_log and motion.table is not None:
         first = motion.table.start(model, first)
 
     def drive(begin: Sequence[Start], periods: int) -> Controls:
-        whole = motion.control_dt is not None
-        asked = Asked(first, held, begin, motion.seed, period, periods, whole)
-        return driving(motion, model, asked)
+        constant = motion.control_dt is not None
+        request = MotionRequest(first, key_ctrl, begin, motion.seed, period, periods, constant)
+        return driving(motion, model, request)
 
     slack = 1e-4 if model.settings.law in ("solref", "penalty") else 1e-12
     moving = ~locked(model, first)
-    nearby = partial(near, Coordinates(model), first, moving, overlaps(model), slack)
+    nearby = partial(random_start, Coordinates(model), first, moving, overlap_of(model), slack)
     return laid_out(motion, model.settings.dt, first, nearby, drive, period, starts, horizon)
 
 
@@ -204,7 +202,7 @@ def laid_out(
     starts: int | None,
     horizon: float,
 ) -> Schedule:
-    """Return the schedule from a first start and random starts near it; see `near`.
+    """Return the schedule from a first start and random starts near it; see `random_start`.
 
     dt: the shipped time step [s]. drive: returns the controls from the starts and the number of
     periods. The rest is as in `scheduled`.
@@ -222,23 +220,23 @@ def laid_out(
     return Schedule(period, periods, every, begin, drive(begin, periods))
 
 
-def driving(motion: Motion, model: Model, asked: Asked) -> Controls:
+def driving(motion: Motion, model: Model, request: MotionRequest) -> Controls:
     """Return the controls of a motion: those that a user gave, or the controls of its kind."""
     if isinstance(motion.ctrl, PositionTable):
-        return followed(motion.ctrl, model, asked)
+        return following_controls(motion.ctrl, model, request)
     if motion.is_users:
-        return given_controls(motion, model, asked.held, asked.period)
-    return default_motion(model, motion.kind, asked)
+        return user_controls(motion, model, request.key_ctrl, request.period)
+    return default_motion(model, motion.kind, request)
 
 
-def given_controls(motion: Motion, model: Any, held: np.ndarray, period: float) -> Controls:
+def user_controls(motion: Motion, model: Any, key_ctrl: np.ndarray, period: float) -> Controls:
     """Return the function or the rows that a user gave; see `driving` and `ControlTable.log`."""
     if motion.table is None:
         return Controls(function=motion.control)
     # With a control period, held rows take effect at the beginning of each period.
     linear, sampled = motion.interpolation == "linear", motion.control_dt is not None
-    log = motion.table.log(model, held, period, linear, sampled)
-    remarks = motion.table.clamped(model, log.rows) if isinstance(model, Model) else ()
+    log = motion.table.control_log(model, key_ctrl, period, linear, sampled)
+    remarks = motion.table.clamping(model, log.rows) if isinstance(model, Model) else ()
     return Controls(log, remarks=remarks)
 
 
@@ -281,8 +279,8 @@ def default_horizon(period: float, horizon: float = 1.0) -> float:
     """Return the time nearest to `horizon` that is a whole number of sampling intervals [s]."""
     about = max(1, round(horizon / period))
     near = range(max(1, about - about // 20), about + about // 20 + 1)
-    whole = [n for n in near if n % _every(n) == 0]
-    return period * min(whole, key=lambda n: abs(n - about), default=about)
+    divisible = [n for n in near if n % _every(n) == 0]
+    return period * min(divisible, key=lambda n: abs(n - about), default=about)
 
 
 def _common(dts: Sequence[float], horizon: float) -> float:
@@ -328,8 +326,8 @@ def _every(periods: int) -> int:
 
     If possible, the samples fill the horizon.
     """
-    whole = [n for n in range(1, periods + 1) if periods % n == 0]
-    best = min(whole, key=lambda n: abs(math.log(periods / n / SAMPLES)))
+    divisors = [n for n in range(1, periods + 1) if periods % n == 0]
+    best = min(divisors, key=lambda n: abs(math.log(periods / n / SAMPLES)))
     near = max(1, round(periods / SAMPLES))
     return best if periods <= SAMPLES or 20 <= periods / best <= 3 * SAMPLES else near
 
@@ -343,7 +341,7 @@ def home(model: Model, key: str | int | None) -> tuple[Start, np.ndarray]:
     return Start(frame.qpos, frame.qvel, frame.act, mocap), frame.ctrl
 
 
-def near(
+def random_start(
     coordinates: Coordinates,
     home: Start,
     moving: np.ndarray,
@@ -362,7 +360,8 @@ def near(
     allowed = max(0.0, overlap(home)) + slack
     tried = []
     for _ in range(64):
-        step = coordinates.drawn(rng, SHIFT, TURN)
+        # 1 mm and 10 mrad: small relative to a robot, large relative to the motion in one step.
+        step = coordinates.drawn(rng, 1e-3, 1e-2)
         rate = np.where(moving, coordinates.drawn(rng, SPEED, SPIN), 0.0)
         moved = coordinates.inside(coordinates.moved(home.qpos, step))
         start = dataclasses.replace(home, qpos=moved, qvel=home.qvel + rate)
@@ -387,7 +386,7 @@ def locked(model: Model, home: Start) -> np.ndarray:
     return stops > FINEST * np.diagonal(sim.mass_matrix())
 
 
-def overlaps(model: Model) -> Callable[[Start], float]:
+def overlap_of(model: Model) -> Callable[[Start], float]:
     """Return a function that measures the deepest overlap of a start's contacts [m]."""
     sim = Sim(model)
 

@@ -13,14 +13,14 @@ import numpy as np
 
 from stepcore import checks
 from stepcore._core import SimulationError
-from stepcore.engine.control import Control, fresh
-from stepcore.engine.error_bar import judged
+from stepcore.engine.control import Control, new_control
+from stepcore.engine.error_bar import recorded_names
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.snapshots import Taking
 from stepcore.engine.trajectory import Trajectory, pieces
 from stepcore.experiment.change import Servo
-from stepcore.experiment.default_motion import Asked
+from stepcore.experiment.default_motion import MotionRequest
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.motion_words import drive_in_words, held_in_words
 from stepcore.experiment.schedule import driving, home
@@ -67,7 +67,7 @@ class Push:
         if isinstance(push, Push):
             return push
         if not isinstance(push, str):
-            fields = checks.listed(push)
+            fields = checks.as_list(push)
             if fields is None or not 2 <= len(fields) <= 4:
                 limit = "(body, force, start, duration)"
                 raise ValueError(f"push = {checks.shown(push)}: must be {limit} or {PUSH_FORM}")
@@ -84,7 +84,7 @@ class Push:
             raise ValueError(f"push {push}: its times must be >= 0 s")
         return cls(body, (x, y, z), *times)
 
-    def on(self, model: Model) -> int:
+    def body_index(self, model: Model) -> int:
         """Return the index of the body in a model.
 
         Raises ValueError for an unknown body and for the world.
@@ -131,31 +131,31 @@ class Drive(NamedTuple):
 
     def fresh(self) -> Drive:
         """Return the same drive with a new copy of a control object."""
-        return self._replace(control=fresh(self.control)) if callable(self.control) else self
+        return self._replace(control=new_control(self.control)) if callable(self.control) else self
 
 
 def drive_of(sim: Sim, motion: Motion, horizon: float) -> Drive:
     """Return the input of a run. Constant controls are written to the Sim."""
-    model, dt, held = sim.model, sim.settings.dt, np.array(sim.ctrl)
+    model, dt, ctrl = sim.model, sim.settings.dt, np.array(sim.ctrl)
     period, every = motion.control_dt or dt, motion.control_dt
     if not motion.is_users and (motion.kind is None or not model.nu):
-        return Drive(None, every, held_in_words(model, held))
+        return Drive(None, every, held_in_words(model, ctrl))
     begin, periods = home(model, motion.key)[0], int(np.ceil(horizon / period)) + 1
     begin = replace(begin, qpos=np.array(sim.qpos))
-    whole = motion.control_dt is not None
-    asked = Asked(begin, held, [begin], motion.seed, period, periods, whole)
-    controls = driving(motion, model, asked)
-    said = controls.words or drive_in_words(model, motion, "", f"every {seconds(period)}")
+    constant = motion.control_dt is not None
+    request = MotionRequest(begin, ctrl, [begin], motion.seed, period, periods, constant)
+    controls = driving(motion, model, request)
+    words = controls.words or drive_in_words(model, motion, "", f"every {seconds(period)}")
     if controls.function is not None:
-        return Drive(controls.function, every, said)
+        return Drive(controls.function, every, words)
     log = controls.log
     assert log is not None
     if len(log.times) == 1:
         sim.ctrl = log.rows.reshape(-1)
-        return Drive(None, every, said, controls.servos, controls.remarks)
+        return Drive(None, every, words, controls.servos, controls.remarks)
     # Without a control period, each row of controls is for one step.
     rows = log.steps(0.0, period, periods).reshape(periods, -1)
-    return Drive(rows, period, said, controls.servos, controls.remarks)
+    return Drive(rows, period, words, controls.servos, controls.remarks)
 
 
 @dataclass
@@ -172,20 +172,20 @@ class Bar:
         if each[body] > self.error:
             self.error, self.body, self.time = float(each[body]), body, sim.time
 
-    def words(self, sim: Sim, asked: float | None) -> str:
-        """Describe the finer run's error estimate after the last step; asked: the accuracy [m]."""
+    def words(self, sim: Sim, accuracy: float | None) -> str:
+        """Describe the finer run's error estimate after the last step; accuracy: requested [m]."""
         until = sim.predictable_until
         if math.isfinite(until):
             return (
                 f"From {seconds(until)} on no error is known: a finer run is elsewhere. Take "
                 "shorter steps; stepcore predict says whether any can tell."
             )
-        said = f"The error is estimated as {metres(sim.error.largest)} at the end"
+        text = f"The error is estimated as {metres(sim.error.largest)} at the end"
         if self.error > 0:
             body = sim.model.element_name("body", self.body)
-            said += f" and at most {metres(self.error)} ({body} at {seconds(self.time)})"
-        against = "" if asked is None else f"; requested: {metres(asked)}"
-        return f"{said}, from a finer run{against}."
+            text += f" and at most {metres(self.error)} ({body} at {seconds(self.time)})"
+        against = "" if accuracy is None else f"; requested: {metres(accuracy)}"
+        return f"{text}, from a finer run{against}."
 
 
 class SingleRun:
@@ -207,7 +207,7 @@ class SingleRun:
         record: Sequence[str] = (),
     ) -> None:
         self.sim, self.drive, self.pushes = sim, drive, pushes
-        self.record = ("time", *judged(sim, record)) if record else ()
+        self.record = ("time", *recorded_names(sim, record)) if record else ()
         self.bar = None if sim._finer is None else Bar()
         self.trajectory: Trajectory | None = None
         self.error: SimulationError | None = None
@@ -219,7 +219,7 @@ class SingleRun:
         sim, dt = self.sim, self.sim.settings.dt
         hold = round(self.drive.period / dt) if self.drive.period else 1
         applied = np.array(sim.xfrc_applied)
-        spans = [(push.on(sim.model), push.force, push.span(dt)) for push in self.pushes]
+        spans = [(push.body_index(sim.model), push.force, push.span(dt)) for push in self.pushes]
         edges = {edge for *_, span in spans for edge in (span.start, span.stop)}
         every = max(1, steps // READINGS)
         often = [every, max(1, steps // 100), *([math.gcd(*edges) or steps] if edges else [])]

@@ -30,8 +30,8 @@ class Sizes:
 
     def __init__(self, model: Model) -> None:
         sizes = zip(model.geom_type, model.geom_size.tolist(), strict=True)
-        known = [_half_sizes(kind, size) for kind, size in sizes]
-        self.halves, self.reach = [halves for halves, _ in known], [reach for _, reach in known]
+        extents = [_half_sizes(kind, size) for kind, size in sizes]
+        self.halves, self.reach = [halves for halves, _ in extents], [reach for _, reach in extents]
         self.thick = [min(halves) for halves in self.halves]
         inertia = np.trace(np.asarray(model.body_inertia), axis1=1, axis2=2)
         self.bodies: list[float] = []

@@ -553,7 +553,7 @@ class Study:
             ran=self.motion_ran,
             notes=self.schedule.notes,
             subject=title,
-            said=list(sentences),
+            answer=list(sentences),
             rows=list(rows),
             of_columns=dict(units or {}),
             axes=plot or (columns[0], columns[min(1, len(columns) - 1)]),

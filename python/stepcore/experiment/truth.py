@@ -24,7 +24,7 @@ from stepcore.deadline import Deadline
 from stepcore.engine.norm import Tracks
 from stepcore.experiment.change import Change
 from stepcore.experiment.engines import Engine, Way
-from stepcore.experiment.predictable import GROWTH, Growth, settled
+from stepcore.experiment.predictable import GROWTH, Growth, converged_growth
 from stepcore.experiment.quantity import Measure
 from stepcore.experiment.schedule import Schedule
 from stepcore.report.settings import label
@@ -481,6 +481,6 @@ class Converging:
                 study.spent += study.price(change, 2 * len(starts))
                 yield change
 
-        now, _ = settled(study.engine, changes(), study.schedule, starts, study.size)
+        now, _ = converged_growth(study.engine, changes(), study.schedule, starts, study.size)
         for k, start in enumerate(starts):
             self.grown[start] = now.some([k])

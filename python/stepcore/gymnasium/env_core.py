@@ -365,10 +365,10 @@ class WorldCamera:
 
     def __init__(self, owner: str, width: int, height: int) -> None:
         # Imported here because the import takes as long as drawing, and few environments draw.
-        from stepcore.viewing.camera import LARGEST
+        from stepcore.viewing.camera import LARGEST_SIDE
 
         for name, size in (("width", width), ("height", height)):
-            checks.whole(2, LARGEST)(owner, name, size)
+            checks.whole(2, LARGEST_SIDE)(owner, name, size)
         self.width, self.height = width, height
         self._sim: Sim | None = None
         self._renderer: Any = None
@@ -376,7 +376,7 @@ class WorldCamera:
         self._follows: Any = None
 
     def draw(self, world: Any, index: int | None) -> Picture:
-        from stepcore.viewing.camera import following, ropes
+        from stepcore.viewing.camera import following_camera, ropes
         from stepcore.viewing.drawing import drawing_of
         from stepcore.viewing.frames import poses_of
         from stepcore.viewing.renderers import Renderer
@@ -389,7 +389,7 @@ class WorldCamera:
             values = world._arrays[name]
             self._sim._arrays[name][...] = values if index is None else values[index]
         instant = poses_of(self._sim)
-        self._follows = self._follows or following(self._drawing, instant)
+        self._follows = self._follows or following_camera(self._drawing, instant)
         marks = ropes(self._drawing, instant)
         picture: Picture = self._renderer.draw(instant, self._follows(instant), marks)
         return picture

@@ -111,16 +111,16 @@ class TaskState:
         return self._arrays[name][self._rows]
 
     def __setattr__(self, name: str, value: Any) -> None:
-        given = np.asarray(value)
+        numbers = np.asarray(value)
         if name not in self._arrays:
             axes = 0 if isinstance(self._rows, int) else 1
-            entries = given.shape[axes:] if given.ndim else ()
-            self._arrays[name] = np.zeros((self._n, *entries), dtype=given.dtype)
+            entries = numbers.shape[axes:] if numbers.ndim else ()
+            self._arrays[name] = np.zeros((self._n, *entries), dtype=numbers.dtype)
         array = self._arrays[name]
-        if not np.can_cast(given.dtype, array.dtype, "same_kind"):
-            text = f"holds {array.dtype.name} and was given {given.dtype.name}"
+        if not np.can_cast(numbers.dtype, array.dtype, "same_kind"):
+            text = f"holds {array.dtype.name} and was given {numbers.dtype.name}"
             raise ValueError(f"state.{name} {text}: begin with numbers of that type")
-        array[self._rows] = given
+        array[self._rows] = numbers
 
     def __contains__(self, name: str) -> bool:
         return name in self._arrays
@@ -134,10 +134,10 @@ class Readings:
     """Arrays of a world by name; each is read once, when it is first needed."""
 
     def __init__(
-        self, read: Callable[[str], Any], asked: set[str], kept: dict[str, Any] | None = None
+        self, read: Callable[[str], Any], requested: set[str], kept: dict[str, Any] | None = None
     ) -> None:
         self._read = read
-        self._asked = asked
+        self._asked = requested
         self._kept = {} if kept is None else kept
 
     def __getattr__(self, name: str) -> Any:
@@ -171,7 +171,7 @@ class Moment(Readings):
     def __init__(
         self,
         read: Callable[[str], Any],
-        asked: set[str],
+        requested: set[str],
         kept: dict[str, Any],
         *,
         action: NDArray[Any],
@@ -183,7 +183,7 @@ class Moment(Readings):
         rng: Draws,
         world: Sim | Batch,
     ) -> None:
-        super().__init__(read, asked, kept)
+        super().__init__(read, requested, kept)
         self.action = action
         self.before = before
         self.dt = dt

@@ -16,8 +16,8 @@ from stepcore.scene.elements.field_types import SOLIMP, SOLREF
 from stepcore.scene.scene import Scene
 
 Array = NDArray[np.float64]
-# Nearer than this share of the smaller radius, bodies touch: the engine's `NEAR`.
-NEAR = 1 / 1024
+# Nearer than this share of the smaller radius, bodies touch: the engine's `TOUCH_SHARE`.
+TOUCH_SHARE = 1 / 1024
 
 
 class Loop:
@@ -48,7 +48,7 @@ class Loop:
         n = len(bodies)
         self.J = (np.eye(n) - np.eye(n, k=-1))[: n if scene.geoms else 0]
         balls = [geom.size[0] for geom in scene.geoms if id(geom.body) in mass]
-        self.near = NEAR * np.minimum(balls, [np.inf, *balls[:-1]]) if balls else np.zeros(0)
+        self.near = TOUCH_SHARE * np.minimum(balls, [np.inf, *balls[:-1]]) if balls else np.zeros(0)
         self.reset()
 
     def reset(self, key: str = "start") -> None:

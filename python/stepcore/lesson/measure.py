@@ -16,7 +16,7 @@ import numpy as np
 from stepcore.lesson.scenes import HEIGHT, G, drop, grasp, slip, spring, stack
 
 
-def path(sim: Any, steps: int) -> np.ndarray:
+def first_body_path(sim: Any, steps: int) -> np.ndarray:
     """Make some steps; return position and velocity of the first body after each, (2, steps)."""
     points = []
     for _ in range(steps):
@@ -41,7 +41,7 @@ def spring_energy(make: Any, integrator: str, k: float = 100.0, time: float = 20
 def spring_invariant(make: Any, k: float = 100.0, steps: int = 2000) -> float:
     """Return the largest relative change of semi-implicit Euler's v² + k x² - dt k x v, at 1 kg."""
     scene = spring(k)
-    x, v = path(make(scene), steps)
+    x, v = first_body_path(make(scene), steps)
     values = v * v + k * x * x - scene.options["dt"] * k * x * v
     # At the start x = 1 m and v = 0.
     return float(np.abs(values / k - 1).max())
@@ -66,7 +66,7 @@ class Bounce(NamedTuple):
 def bounce(make: Any, k: float, time: float = 2.0) -> Bounce:
     """Drop the ball on a penalty floor with damping ratio 0.1, and measure its motion."""
     scene = drop("penalty", penalty_stiffness=k, penalty_damping_ratio=0.1)
-    y, v = path(make(scene), round(time / scene.options["dt"]))
+    y, v = first_body_path(make(scene), round(time / scene.options["dt"]))
     energy = 0.5 * v * v + G * y
     counted = (energy + 0.5 * k * np.minimum(y, 0.0) ** 2) / (G * HEIGHT)
     flight, rebound = energy[y >= 0] / (G * HEIGHT), y[np.maximum.accumulate(y < 0)]

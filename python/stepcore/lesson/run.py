@@ -191,11 +191,11 @@ def two_contacts(make: Make) -> Iterator[Row]:
 def grasp(make: Make) -> Iterator[Row]:
     """Yield section 5: a cube between two fingers, with the wrist at its limit."""
     title = "5. a grasp: slip of the cube after 10 000 steps"
-    rows, held = measure.hold(make, 10000)
+    rows, slip = measure.hold(make, 10000)
     yield Row(title, "rows: pushes, slidings, limits", rows, "2 2 1", 0)
-    yield Row(title, "solved to 1e-13 m/s, warm", held * 1e9, 0.0, 1.0, "nm")
-    _, held = measure.hold(make, 10000, sweeps=5, tolerance=0.0, warm_start=False)
-    yield Row(title, "5 sweeps, cold", held * 1e9, None, 0.0, "nm")
+    yield Row(title, "solved to 1e-13 m/s, warm", slip * 1e9, 0.0, 1.0, "nm")
+    _, slip = measure.hold(make, 10000, sweeps=5, tolerance=0.0, warm_start=False)
+    yield Row(title, "5 sweeps, cold", slip * 1e9, None, 0.0, "nm")
 
 
 def report(rows: Iterable[Row], full: bool = False) -> str:
@@ -210,9 +210,9 @@ def report(rows: Iterable[Row], full: bool = False) -> str:
         parts.setdefault(row.section, []).append(row)
     lines = [f"{_agreeing(rows)} figures agree with the reference.", ""]
     if not full:
-        lines += [f"{title}: {_agreeing(own)}" for title, own in parts.items()]
-    for title, own in parts.items():
-        chosen = [row for row in own if full or not row.ok]
+        lines += [f"{title}: {_agreeing(part_rows)}" for title, part_rows in parts.items()]
+    for title, part_rows in parts.items():
+        chosen = [row for row in part_rows if full or not row.ok]
         if chosen:
             title = title if full else f"{title}: what does not agree"
             head = f"  {'':<38} {'value':>18} {'reference':>18}"

@@ -30,13 +30,12 @@ from stepcore.report.units import counted, metres, seconds, speed, times
 __all__ = ["Convergence", "converge"]
 
 # Time steps relative to the shipped one, and numbers of sweeps relative to the shipped number.
-FACTORS, SWEEPS = (4, 2, 1, 1 / 2, 1 / 4, 1 / 8), (4, 16)
-# The default number of starts.
-STARTS = 3
+DT_RATIOS, SWEEP_RATIOS = (4, 2, 1, 1 / 2, 1 / 4, 1 / 8), (4, 16)
+STARTS = 3  # by default; the command's help reads it
 # Distances below this share of the scene's size do not make a motion under-solved: iterative
 # solvers stop at tolerances that leave as much. Errors that differ by less than the factor count as
-# equal. A body at rest moves less than the last share of the distance during the whole motion.
-NOTABLE, ALIKE, STILL = 1e-5, 1.2, 0.1
+# equal.
+NOTABLE, EQUAL = 1e-5, 1.2
 
 
 @dataclass(frozen=True)
@@ -112,9 +111,9 @@ class Convergence(Result):
     def better(self) -> str:
         """The more accurate at equal work: "smaller steps", "more sweeps" or "neither"."""
         _, steps, sweeps = self.at_equal_work
-        if steps * ALIKE < sweeps:
+        if steps * EQUAL < sweeps:
             return "smaller steps"
-        return "more sweeps" if sweeps * ALIKE < steps else "neither"
+        return "more sweeps" if sweeps * EQUAL < steps else "neither"
 
     @property
     def at_equal_work(self) -> tuple[float, float, float]:
@@ -203,12 +202,12 @@ class Convergence(Result):
     @property
     def sentences(self) -> list[str]:
         """The verdict with both parts of the error, and what to increase."""
-        said = until_in_words(self.reference.growth.ends, self.horizon)
-        said += [self._diverging() if self.ending is None else self._verdict(self.ending)]
+        sentences = until_in_words(self.reference.growth.ends, self.horizon)
+        sentences += [self._diverging() if self.ending is None else self._verdict(self.ending)]
         if self.has_rows:
-            said.append(self._what_to_increase())
-        said += [finding.text for finding in self.findings]
-        return [sentence for sentence in said if sentence]
+            sentences.append(self._what_to_increase())
+        sentences += [finding.text for finding in self.findings]
+        return [sentence for sentence in sentences if sentence]
 
     def _verdict(self, ending: Ending) -> str:
         solver, starts = ending.solver, len(self.shipped.starts)
@@ -246,7 +245,8 @@ class Convergence(Result):
         distance = f"{metres(ending.apart)} from where converged forces take it"
         if ending.apart <= NOTABLE * self.size:
             return "the motion differs on the way, but ends in the same place."
-        if ending.speed <= STILL * ending.apart / self.horizon:
+        # A resting body moves less than a tenth of the distance.
+        if ending.speed <= 0.1 * ending.apart / self.horizon:
             return f"{ending.body} settles at a wrong fixed point, {distance}."
         return f"{ending.body} ends {distance}, at {speed(ending.speed)}."
 
@@ -294,8 +294,8 @@ class Convergence(Result):
 
 def _error_at(work: float, trials: Sequence[Trial], least: float) -> float:
     """Return the error of trials at a work, interpolated on log axes; `least`: uncertainty."""
-    known = sorted((t.work, max(t.error, least)) for t in trials)
-    x, y = np.log(np.array(known).T)
+    points = sorted((t.work, max(t.error, least)) for t in trials)
+    x, y = np.log(np.array(points).T)
     return float(np.exp(np.interp(math.log(work), x, y)))
 
 
@@ -339,7 +339,7 @@ def converge(
     starts = motion.starts or STARTS
     motion = dataclasses.replace(motion, starts=starts)
     motion, far = settled_motion(setup.engine, motion, starts, EFFORT)
-    period = motion.period(shipped.dt) or often(FACTORS[0] * shipped.dt, shipped.dt, far.length)
+    period = motion.period(shipped.dt) or often(DT_RATIOS[0] * shipped.dt, shipped.dt, far.length)
     shared: dict[str, Any] = {"engine": setup.engine, "period": period, "workers": workers}
     study = Study(motion=motion, quantity=quantity, **shared)
     dts, sweeps, solved = other_steps(study), more_sweeps(shipped), converged_forces(study)
@@ -397,7 +397,7 @@ def converged_forces(study: Study) -> Change:
 def other_steps(study: Study) -> list[Change]:
     """Return the shipped settings at all time steps that divide the control period."""
     period, shipped = study.schedule.period, study.engine.dt
-    steps = {f: f * shipped for f in FACTORS if f * shipped <= period * (1 + 1e-9)}
+    steps = {f: f * shipped for f in DT_RATIOS if f * shipped <= period * (1 + 1e-9)}
     valid = {f: dt for f, dt in steps.items() if divides(dt, period)}
     return [SHIPPED if f == 1 else Change(dt=dt) for f, dt in valid.items()]
 
@@ -406,7 +406,7 @@ def more_sweeps(shipped: Any) -> list[Change]:
     """Return multiples of the shipped sweeps; empty for settings without a number of sweeps."""
     if shipped.solver != "pgs" or shipped.sweeps in ("auto", 0):
         return []
-    return [Change(sweeps=factor * shipped.sweeps, cost_tolerance=0.0) for factor in SWEEPS]
+    return [Change(sweeps=factor * shipped.sweeps, cost_tolerance=0.0) for factor in SWEEP_RATIOS]
 
 
 def _ending(study: Study, shipped: Trial, solved: Trial, truth: Truth) -> Ending | None:
@@ -427,6 +427,6 @@ def _ending(study: Study, shipped: Trial, solved: Trial, truth: Truth) -> Ending
         moved = a.com[start, end, body] - a.com[start, first, body]
         speed = float(np.linalg.norm(moved) / max(times[end] - times[first], 1e-300))
     index = study.engine.matter.moving[body]
-    known = study.engine.known
-    name = study.model.element_name("body", index) if known else f"body {index}"
+    has_model = study.engine.known
+    name = study.model.element_name("body", index) if has_model else f"body {index}"
     return Ending(start, name, float(gap.max()), speed, float(over.max()))

@@ -15,7 +15,7 @@ from stepcore.experiment.arguments import MeasurementFields, Source, measurement
 from stepcore.experiment.change import Change
 from stepcore.experiment.engines import Engine
 from stepcore.experiment.motion import Motion
-from stepcore.experiment.predictable import GROWTH, Asking, Growth, growths, settling
+from stepcore.experiment.predictable import GROWTH, Asking, Growth, growth_requests, growths
 from stepcore.experiment.quantity import MOTION, Measure, Quantity, Wanted
 from stepcore.experiment.schedule import Schedule
 from stepcore.experiment.study import SHIPPED, Study
@@ -268,7 +268,7 @@ def growing(engine: Engine, schedule: Schedule) -> Asking[tuple[Growth, Change]]
     # Start from a quarter of the shipped step.
     ladders = [[way.at(2 + finer) for finer in range(FINER + 1)] for way in ways]
     for rungs in ladders:
-        growth, change, closely = yield from settling(rungs, schedule, 1, whole)
+        growth, change, closely = yield from growth_requests(rungs, schedule, 1, whole)
         kept = math.isinf(growth.overall)
         if not growth.failure:
             found.append((growth, change))

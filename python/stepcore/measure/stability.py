@@ -15,7 +15,7 @@ from stepcore import checks
 from stepcore.deadline import SEARCHED, OutOfTime
 from stepcore.engine.linear_maps import implicit_kinds, step_matrix
 from stepcore.engine.model import Model
-from stepcore.engine.norm import apart, largest
+from stepcore.engine.norm import distances, largest
 from stepcore.engine.parameters import own_value
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.arguments import MeasurementFields, Setup, Source, measurement, set_up
@@ -452,7 +452,7 @@ class _Runs:
             return dataclasses.replace(result, state=EXPLODED, reason=reason)
         if truth is None:
             return dataclasses.replace(result, state=FINITE)
-        distance = apart(tracks, truth.tracks, study.engine.matter)
+        distance = distances(tracks, truth.tracks, study.engine.matter)
         error = float(study.measure.error(tracks, truth.tracks, truth.scored)[0])
         most = float(largest(distance)[0])
         if most > FAR * self.engine.size:
@@ -510,7 +510,7 @@ def _parameter(
 def _steps(shipped: float, dts: Sequence[float | str] | None) -> list[float]:
     """Return the time steps in ascending order [s]; the default ones divide WHOLE shipped steps."""
     if dts is not None:
-        items = enumerate(checks.several("dts", dts))
+        items = enumerate(checks.nonempty("dts", dts))
         return _ascending("dts", [units.time(f"dts[{k}]", dt) for k, dt in items])
     counts = {round(WHOLE / share) for share in np.geomspace(0.1, 10.0, 13).tolist()}
     return [WHOLE * shipped / count for count in sorted(counts, reverse=True)]
@@ -583,7 +583,7 @@ def _integrators(engine: Engine, integrators: str | Sequence[str] | None) -> lis
 
 def _ascending(name: str, values: Sequence[float]) -> list[float]:
     """Return positive numbers in ascending order, without repetition."""
-    numbers = [checks.number(value) for value in checks.several(name, values)]
+    numbers = [checks.number(value) for value in checks.nonempty(name, values)]
     for k, number in enumerate(numbers):
         if number is None or number <= 0:
             shown = checks.shown(values[k])

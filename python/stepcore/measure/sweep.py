@@ -35,7 +35,7 @@ Point = dict[str, Any]
 Measure = Callable[[Any], Any]
 
 # The largest number of points in one batch on an executor.
-SHARE = 256
+MAX_POINTS = 256
 
 
 def sweep(
@@ -104,7 +104,7 @@ def sweep(
                          4   0.03974
     """
     checks.mapping("grid", grid, "names and their values")
-    axes = {str(name): checks.several(f"grid['{name}']", grid[name]) for name in grid}
+    axes = {str(name): checks.nonempty(f"grid['{name}']", grid[name]) for name in grid}
     checks.function("batch" if batch is True else "sim")("sweep", "measure", measure)
     workers = Workers.checked("sweep", threads, executor, progress)
     source: Any = make_or_model
@@ -123,18 +123,18 @@ def sweep(
     job: Any = partial(_one_by_one, source, measure)
     if batch:
         here = workers.executor is None
-        shares = _alike(points, [index for (index,) in shares], len(points) if here else SHARE)
+        shares = _alike(points, [index for (index,) in shares], len(points) if here else MAX_POINTS)
         job = partial(_together, source, measure, workers.threads if here else 1)
         # In this process, batches run one after the other, and each uses all threads.
         workers = Workers(1, workers.executor, workers.progress)
 
-    def took(places: range, found: Sequence[list[Point]]) -> None:
+    def took(places: range, batches: Sequence[list[Point]]) -> None:
         """Keep the results of some shares of the points."""
-        for share, own in zip(shares[places.start : places.stop], found, strict=True):
-            for index, result in zip(share, own, strict=True):
+        for share, measured in zip(shares[places.start : places.stop], batches, strict=True):
+            for index, result in zip(share, measured, strict=True):
                 results[index] = result
             if kept is not None:
-                kept.keep([points[index] for index in share], own)
+                kept.store([points[index] for index in share], measured)
 
     try:
         workers.each(job, [[points[k] for k in share] for share in shares], "sweep", took=took)
@@ -148,8 +148,8 @@ def _table(
     axes: Mapping[str, Any], points: Sequence[Point], results: Sequence[Point | None]
 ) -> Table:
     done = [(p, r) for p, r in zip(points, results, strict=True) if r is not None]
-    own = [name for _, result in done for name in result if name != "failure"]
-    columns = list(dict.fromkeys([*axes, *own]))
+    names = [name for _, result in done for name in result if name != "failure"]
+    columns = list(dict.fromkeys([*axes, *names]))
     if any("failure" in result for _, result in done):
         columns.append("failure")
     return Table((point | result for point, result in done), columns)
@@ -163,8 +163,8 @@ def _check_names(model: Model, axes: Mapping[str, Any]) -> None:
             if name not in WHOLE:
                 find(model.scene, name)
         elif name not in fields:
-            said = f"settings have no {checks.quoted(name)}{checks.nearest(name, fields)}"
-            raise ValueError(f"grid[{checks.shown(name)}]: {said}")
+            reason = f"settings have no {checks.quoted(name)}{checks.nearest(name, fields)}"
+            raise ValueError(f"grid[{checks.shown(name)}]: {reason}")
 
 
 def _settings_and_values(point: Point) -> tuple[Point, Point]:
@@ -185,11 +185,11 @@ def at_point(source: Any, measure: Measure, point: Point) -> Point:
     try:
         if isinstance(source, Model):
             settings, values = _settings_and_values(point)
-            made = unwatched(Sim(source.with_values(values) if values else source, **settings))
+            world = unwatched(Sim(source.with_values(values) if values else source, **settings))
         else:
-            made = source(**point)
-            made = unwatched(Sim(made)) if isinstance(made, (Model, Scene)) else made
-        return _record(measure(made))
+            world = source(**point)
+            world = unwatched(Sim(world)) if isinstance(world, (Model, Scene)) else world
+        return _record(measure(world))
     except (ValueError, SimulationError) as error:
         return _failure(error)
 
@@ -270,25 +270,26 @@ class _Folder:
     """
 
     def __init__(self, path: Any, source: Model | Callable[..., Any], measure: Any) -> None:
-        folder = Path(files.path("folder", path))
+        folder = Path(files.as_path("folder", path))
         folder.mkdir(parents=True, exist_ok=True)
-        own = {"stepcore": version("stepcore"), "model": _named(source)}
-        own["measure"] = _named(measure)
+        identity = {"stepcore": version("stepcore"), "model": _named(source)}
+        identity["measure"] = _named(measure)
         kept, self.points = folder / "sweep.json", folder / "points.jsonl"
         if not kept.exists():
-            kept.write_text(json.dumps(own, indent=1) + "\n", encoding="utf-8")
-        data = files.read(kept, "a sweep")
+            kept.write_text(json.dumps(identity, indent=1) + "\n", encoding="utf-8")
+        data = files.contents(kept, "a sweep")
         try:
-            known = json.loads(data)
+            stored = json.loads(data)
         except (ValueError, RecursionError) as error:
             raise ValueError(f"{kept}: is damaged: {checks.one_line(error)}") from None
-        for name, value in own.items():
-            theirs = known.get(name) if isinstance(known, dict) else None
+        for name, value in identity.items():
+            theirs = stored.get(name) if isinstance(stored, dict) else None
             if theirs != value:
                 text = f"folder = {checks.shown(str(folder))}: holds a sweep of another {name}"
                 raise ValueError(f"{text} ({theirs}, not {value}): choose another folder")
         self.done: dict[str, Point] = {}
-        lines = files.read(self.points, "a sweep").split(b"\n") if self.points.exists() else [b""]
+        data = files.contents(self.points, "a sweep") if self.points.exists() else b""
+        lines = data.split(b"\n")
         for line in lines[:-1]:
             try:
                 point, result = json.loads(line)
@@ -306,7 +307,7 @@ class _Folder:
         kept = self.done.get(_key(point))
         return None if kept is None else dict(kept)
 
-    def keep(self, points: Sequence[Point], results: Sequence[Point]) -> None:
+    def store(self, points: Sequence[Point], results: Sequence[Point]) -> None:
         """Write results to the folder; see `_written` for those that it cannot keep."""
         lines = list[str]()
         for point, result in zip(points, results, strict=True):

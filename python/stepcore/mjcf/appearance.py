@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from stepcore import checks, files
 from stepcore.mjcf.assets import Assets
 from stepcore.mjcf.defaults import Model
-from stepcore.mjcf.nodes import MJCFError, Node, Refusals, expand, inside, parse
+from stepcore.mjcf.nodes import MJCFError, Node, Refusals, expand, parse, section_nodes
 from stepcore.mjcf.reader import finish, prepared, read_sections
 from stepcore.mjcf.validation import Exclusions, seen_values
 from stepcore.scene.elements import Geom, Mesh
@@ -134,7 +134,7 @@ class _Surfaces:
         # Textures by name; a texture without a name is named after its file.
         self.textures: dict[str, Node] = {}
         self.materials: dict[str, tuple[Vec, Look]] = {}
-        nodes = inside(model.root, "asset")
+        nodes = section_nodes(model.root, "asset")
         for node in nodes:
             if node.tag == "texture":
                 self.textures[node.asset_name()] = node
@@ -192,7 +192,7 @@ def _mean_colour(path: str) -> Vec:
     """Return the mean colour of an image file; raise ValueError if it is invalid or too large."""
     from PIL import Image, ImageStat
 
-    data = files.read(path, "an image")
+    data = files.contents(path, "an image")
     try:
         with warnings.catch_warnings():
             # Pillow only warns of oversized images; treat the warning as an error.

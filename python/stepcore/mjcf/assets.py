@@ -94,7 +94,7 @@ class Assets:
             for name, node in nodes.items():
                 asset = self.known.get((kind, name))
                 if asset is None or id(asset) not in used:
-                    scene.ignored.append(node.listed("only draws"))
+                    scene.ignored.append(node.ignored_line("only draws"))
                     continue
                 asset.__dict__["place"] = f"{node.file}:{node.line}"
                 self._fill(scene, node, asset)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from stepcore import _core
 from stepcore.checks import ElementError, cut
-from stepcore.mjcf.nodes import below, inside, sections, with_file_lines
+from stepcore.mjcf.nodes import below, section_nodes, sections, with_file_lines
 from stepcore.mjcf.sections import Shape, WorldReader
 from stepcore.mjcf.validation import references
 from stepcore.scene import frames
@@ -157,7 +157,7 @@ def leave_out_visual_geoms(world: WorldReader) -> None:
         drags = geom.fluidshape != "none" and (scene.density > 0 or scene.viscosity > 0)
         if shape.collides or drags or id(geom) in sensed or weighs(world, shape):
             continue
-        scene.ignored.append(shape.node.listed("only draws: no collisions, no mass"))
+        scene.ignored.append(shape.node.ignored_line("only draws: no collisions, no mass"))
         if geom.mesh is not None or geom.hfield is not None:
             gone.add(id(geom))
     _remove(world, gone)
@@ -241,7 +241,7 @@ def _kept_apart(world: WorldReader) -> set[int]:
     # A body that an element refers to by name.
     named = {name for node in below(root) for _, kind, name in references(node) if kind == "body"}
     # A force or torque sensor measures the load from the parent of its body.
-    sensors = inside(root, "sensor")
+    sensors = section_nodes(root, "sensor")
     measured = {node.attrs.get("site") for node in sensors if node.tag in ("force", "torque")}
     return (
         {id(joint.body) for joint in scene.joints}

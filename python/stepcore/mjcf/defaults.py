@@ -17,7 +17,7 @@ from typing import Any
 
 from stepcore.checks import nearest
 from stepcore.mjcf.nodes import Node
-from stepcore.mjcf.schema import ACTUATORS, ORIENTATION, TAKEN_BACK, given
+from stepcore.mjcf.schema import ACTUATORS, ORIENTATION, TAKEN_BACK, class_fields
 from stepcore.mjcf.validation import bad
 from stepcore.scene import frames
 from stepcore.scene.elements import LengthRange, MassRules
@@ -108,7 +108,7 @@ class Compiler:
         return os.path.normpath(path if stripped else self.path(node, name, within))
 
     def mass_rules(self) -> MassRules:
-        return MassRules(**given(MassRules, self.values))
+        return MassRules(**class_fields(MassRules, self.values))
 
     def lengthrange(self) -> LengthRange:
         return LengthRange(**self.ranges)
@@ -194,7 +194,7 @@ class Defaults:
                         chain = self.chains[name]
                         gains = inherited(chain, child)
                         self.chains[name] = (*chain[:-1], gains)
-                        elements[tag] = saturated(elements[tag], gains, child)
+                        elements[tag] = saturated_motor(elements[tag], gains, child)
             inner = [child for child in node.children if child.tag == "default"]
             for child in inner:
                 inner_name = child.attrs.get("class", "")
@@ -325,10 +325,10 @@ def inherited(chain: Chain, node: Node) -> ActuatorGains:
     handed = next((g for g in reversed(chain) if g.tag in (tag, "general")), ActuatorGains())
     if handed.tag == "general" and (from_law := LAWS[tag].from_law):
         handed = replace(handed, tag=tag, values=from_law(handed.law))
-    made = _SHORTCUTS[tag](handed, node)
+    actuator_gains = _SHORTCUTS[tag](handed, node)
     position = tag in ("position", "intvelocity")
     scale = _inheritrange(handed, node) if position else last.inheritrange
-    return replace(made, inheritrange=scale, damping=drag)
+    return replace(actuator_gains, inheritrange=scale, damping=drag)
 
 
 def _own(node: Node, *names: str) -> Values:
@@ -638,7 +638,7 @@ def _inheritrange(base: ActuatorGains, node: Node) -> float:
     return 0.0
 
 
-def saturated(values: Values, gains: ActuatorGains, node: Node) -> Values:
+def saturated_motor(values: Values, gains: ActuatorGains, node: Node) -> Values:
     """Return the values of a motor or its class, with the force range from its saturation."""
     if gains.torque is None or "saturation" not in node.values:
         return values

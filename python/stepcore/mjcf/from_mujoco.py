@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stepcore.mjcf.reader import read_text
-from stepcore.mjcf.through_mujoco import difference, exact_numbers, quiet, xml_of
+from stepcore.mjcf.through_mujoco import differing_array, exact_numbers, quiet, xml_of
 
 if TYPE_CHECKING:
     from stepcore.scene.scene import Scene
@@ -61,7 +61,7 @@ def _saved(model: Any, path: str) -> tuple[str, str | None]:
         raise ValueError(f"MjModel: {kept}, which is another one ({error}); {better}") from None
     spec = mujoco.MjSpec.from_file(path)
     base = spec.modelfiledir = _folder(model, spec)
-    other = difference(model, spec.compile())
+    other = differing_array(model, spec.compile())
     if other:
         raise ValueError(f"MjModel: {kept}, whose {other} differs; {better}")
     return Path(path).read_text(encoding="utf-8"), base or None

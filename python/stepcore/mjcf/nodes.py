@@ -145,7 +145,7 @@ class Node:
         file = self.attrs.get("file", "").replace("\\", "/").rpartition("/")[2]
         return self.attrs.get("name", file.rpartition(".")[0] or file)
 
-    def listed(self, why: str) -> str:
+    def ignored_line(self, why: str) -> str:
         """Return the line about this element for `Scene.ignored`."""
         name = self.attrs.get("name", "")
         label = f'<{self.tag}> "{name}"' if name else f"<{self.tag}>"
@@ -168,7 +168,7 @@ def sections(root: Node, tag: str) -> list[Node]:
     return [node for node in root.children if node.tag == tag]
 
 
-def inside(root: Node, tag: str) -> list[Node]:
+def section_nodes(root: Node, tag: str) -> list[Node]:
     return [node for section in sections(root, tag) for node in section.children]
 
 
@@ -418,7 +418,7 @@ def effect(kind: str) -> str:
 
 def read_main(shown: str) -> bytes:
     try:
-        return files.read(shown, "an MJCF or URDF file")
+        return files.contents(shown, "an MJCF or URDF file")
     except ValueError as error:
         raise MJCFError(shown, 1, str(error)) from None
 
@@ -426,7 +426,7 @@ def read_main(shown: str) -> bytes:
 def read_named(node: Node, shown: str) -> Node:
     """Parse the XML file that an element names; read errors name the line of the element."""
     try:
-        data = files.read(shown, "an MJCF or URDF file")
+        data = files.contents(shown, "an MJCF or URDF file")
     except FileNotFoundError as error:
         raise node.missing(error) from None
     except (IsADirectoryError, ValueError) as error:

@@ -74,7 +74,7 @@ FLAGS_UNBUILT = ("diagexact", "ipc", "speculative")
 SLOW_STEPS = 10
 
 
-def read(scene: Scene, node: Node) -> None:
+def read_option(scene: Scene, node: Node) -> None:
     """Read an option section into `scene`; a later section overrides an earlier one."""
     values, options = node.values, scene.options
     for name, (fits, limit) in _LIMITS.items():
@@ -111,7 +111,7 @@ def read(scene: Scene, node: Node) -> None:
         _flags(scene, child)
 
 
-def settle(scene: Scene, nodes: list[Node]) -> None:
+def resolve_options(scene: Scene, nodes: list[Node]) -> None:
     """Convert what depends on several options after all sections are read.
 
     These are what MuJoCo's PGS and noslip have by default, and its sleep rule, which counts steps.
@@ -170,10 +170,10 @@ def to_say(settings: Settings) -> dict[str, Any]:
     return {name: value for name, value in values.items() if value != unsaid[name]}
 
 
-def said(settings: Mapping[str, Any]) -> tuple[dict[str, str], dict[str, str], dict[str, Any]]:
+def as_option(values: Mapping[str, Any]) -> tuple[dict[str, str], dict[str, str], dict[str, Any]]:
     """Split settings into attributes of ``<option>``, flags, and settings that MJCF lacks."""
     attributes, flags, rest = {}, {}, {}
-    for name, value in settings.items():
+    for name, value in values.items():
         attribute, words = _SETTINGS.get(name, ("", None))
         word = next((word for word, setting in (words or {}).items() if setting == value), "")
         if name in _FLAGS:

@@ -33,17 +33,17 @@ from stepcore.mjcf.nodes import (
     Source,
     below,
     expand,
-    inside,
     parse,
     read_main,
+    section_nodes,
     sections,
 )
 from stepcore.mjcf.sections import WorldReader
 from stepcore.mjcf.through_mujoco import Expansion, first_to_expand
 from stepcore.mjcf.validation import REFERENCES, Exclusions, validate
 from stepcore.scene import gc_pause
-from stepcore.scene.layout import LISTS, Layout, named
-from stepcore.scene.records import check
+from stepcore.scene.layout import LISTS, Layout, relabelled
+from stepcore.scene.records import check_scene
 from stepcore.urdf import translate
 
 if TYPE_CHECKING:
@@ -121,7 +121,7 @@ def read_text(
     if not isinstance(text, (str, bytes)):
         raise MJCFError(checks.word("name", name), 1, "an MJCF text must be a str or bytes")
     if base is not None:
-        base = files.path("base", base)
+        base = files.as_path("base", base)
     root = parse(text, checks.word("name", name))
     scene.notes += expand(root, None if base is None else Path(base), None)
     data = text if isinstance(text, bytes) else text.encode("utf-8", "surrogatepass")
@@ -160,7 +160,7 @@ def _fill(scene: Scene, root: Node, source: Source, without: Iterable[str]) -> N
     except ElementError as error:
         # The check of the whole scene names the element: add its file and line.
         node = world.nodes.get(id(error.owner), root)
-        raise node.error(str(named(scene, error))) from None
+        raise node.error(str(relabelled(scene, error))) from None
     except FileNotFoundError as error:
         raise (urdf.missing(error) if urdf is not None else error) from None
     except MJCFError:
@@ -186,12 +186,12 @@ def read_sections(
     world = WorldReader(scene, model, assets, refusals)
     scene.mass_rules, scene.lengthrange = compiler.mass_rules(), compiler.lengthrange()
     for node in sections(root, "option"):
-        refusals.at(node, lambda node: option.read(scene, node))
-    option.settle(scene, sections(root, "option"))
+        refusals.at(node, lambda node: option.read_option(scene, node))
+    option.resolve_options(scene, sections(root, "option"))
     for node in sections(root, "worldbody"):
         world.read(node)
     for section, read in SECTIONS.items():
-        for node in inside(root, section):
+        for node in section_nodes(root, section):
             refusals.at(node, partial(read, world))
     return world
 
@@ -222,11 +222,11 @@ def finish(world: WorldReader, chosen: bool | None) -> None:
             if joint.type == "free":
                 joint.body.parent = scene.world
     # This pass removes names by which the passes above find elements.
-    for node in option.own_texts(inside(world.root, "custom")):
+    for node in option.own_texts(section_nodes(world.root, "custom")):
         world.refusals.at(node, partial(option.read_own_text, scene))
     world.refusals.raise_all()
     # The check comes last, because nothing may change after it.
-    check(Layout(scene))
+    check_scene(Layout(scene))
 
 
 def _check_references(world: WorldReader) -> None:
@@ -240,7 +240,7 @@ def _check_references(world: WorldReader) -> None:
     }
     sensed = [
         (node, attribute, name, REFERENCES[attribute])
-        for node in inside(world.root, "sensor")
+        for node in section_nodes(world.root, "sensor")
         for attribute, name in node.attrs.items()
         if REFERENCES.get(attribute) in targets
     ]

@@ -4,7 +4,7 @@ Attributes that are fields of an element class come from the table of the class
 (`stepcore.scene.element`). All others are defined here, in this notation: ``pos:3`` is three reals,
 ``size:1-3`` one to three, ``qpos:*`` any number of reals, ``group:int`` an integer,
 ``limited:false|true|auto`` a keyword, and a name without ":" any text. ``!`` marks a required
-attribute. `given` and `changed` convert attributes to fields and back.
+attribute. `class_fields` and `changed_attributes` convert to fields and back.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from stepcore.scene.element import Element, table
+from stepcore.scene.element import Element, field_rows
 from stepcore.scene.elements import (
     Actuator,
     Body,
@@ -76,13 +76,13 @@ def spec(
     return Spec(types, tuple(required), children or {}, role, once)
 
 
-def of(kind: type[Element], *names: str, but: str = "") -> str:
+def attrs_of(kind: type[Element], *names: str, but: str = "") -> str:
     """Return the fields of an element class that MJCF has, in the notation above.
 
     names: the fields to include; all if empty.
     but: the fields to leave out. A field with polynomial coefficients takes up to three numbers.
     """
-    rows = [table(kind)[name] for name in names] if names else table(kind).values()
+    rows = [field_rows(kind)[name] for name in names] if names else field_rows(kind).values()
     return " ".join(
         f"{row.name}:{'1-3' if row.poly else row.type.attribute}".rstrip(":")
         for row in rows
@@ -90,7 +90,7 @@ def of(kind: type[Element], *names: str, but: str = "") -> str:
     )
 
 
-def without(attrs: str, names: str) -> str:
+def attrs_but(attrs: str, names: str) -> str:
     drop = set(names.split())
     return " ".join(w for w in attrs.split() if w.partition(":")[0].rstrip("!") not in drop)
 
@@ -103,11 +103,11 @@ _OWN = (
 
 
 def default_of(attrs: str) -> Spec:
-    return spec(without(attrs, _OWN).replace("!", ""))
+    return spec(attrs_but(attrs, _OWN).replace("!", ""))
 
 
 ABLE = "disable|enable"
-_TURN = without(POSE, "pos quat")
+_TURN = attrs_but(POSE, "pos quat")
 _POSE_NAMES = "pos quat axisangle xyaxes zaxis euler"
 
 # Plugins, which can appear in several sections; none is built.
@@ -135,8 +135,8 @@ FLAGS = (
 # These flags are off by default; all others are on.
 FLAGS_OFF = tuple(FLAGS.split()[FLAGS.split().index("override") :])
 # Features without an MJCF flag.
-OWN_FEATURES = tuple(name for name in table(Features) if name not in FLAGS.split())
-_OVERRIDES = " ".join(f"o_{word}" for word in of(ContactOverride, but="enable").split())
+OWN_FEATURES = tuple(name for name in field_rows(Features) if name not in FLAGS.split())
+_OVERRIDES = " ".join(f"o_{word}" for word in attrs_of(ContactOverride, but="enable").split())
 OPTION = spec(
     "timestep:1 impratio:1 tolerance:1 ls_tolerance:1 noslip_tolerance:1 ccd_tolerance:1 "
     "sleep_tolerance:1 gravity:3 wind:3 magnetic:3 density:1 viscosity:1 "
@@ -153,11 +153,11 @@ SIZE = spec(
     "nuser_cam nuser_tendon nuser_actuator nuser_sensor"
 )
 COMPILER = spec(
-    f"autolimits:{BOOL} {of(MassRules)} strippath:{BOOL} coordinate:local|global "
+    f"autolimits:{BOOL} {attrs_of(MassRules)} strippath:{BOOL} coordinate:local|global "
     f"angle:radian|degree eulerseq meshdir texturedir discardvisual:{BOOL} usethread:{BOOL} "
     f"fusestatic:{BOOL} saveinertial:{BOOL} savecompiled:{BOOL} savecanonical:{BOOL} assetdir "
     f"alignfree:{BOOL} conflict:warning|merge|error passthrough:none|textures",
-    {"lengthrange": spec(of(LengthRange))},
+    {"lengthrange": spec(attrs_of(LengthRange))},
 )
 
 # Elements that only draw; reading a scene checks only the names of their attributes.
@@ -219,17 +219,17 @@ _BUILTIN = (
     "plate|square|disc|grid|box|cylinder|ellipsoid|wedge|sphere|hemisphere|cone|supersphere|"
     "supertorus"
 )
-_MESH_DEFAULT = of(Mesh, "scale", "maxhullvert", "inertia")
+_MESH_DEFAULT = attrs_of(Mesh, "scale", "maxhullvert", "inertia")
 ASSET = spec(
     "",
     {
         "mesh": spec(
-            f"{of(Mesh)} class content_type vertex:* normal:* texcoord:* face:int* "
+            f"{attrs_of(Mesh)} class content_type vertex:* normal:* texcoord:* face:int* "
             f"smoothnormal:{BOOL} builtin:{_BUILTIN} params:* material",
             {"plugin": plugin()},
         ),
         "hfield": spec(
-            f"{of(HField, 'name', 'file')} size!:4 content_type nrow:int ncol:int elevation:*"
+            f"{attrs_of(HField, 'name', 'file')} size!:4 content_type nrow:int ncol:int elevation:*"
         ),
         "model": spec("name file! content_type"),
         "skin": _SKIN,
@@ -265,19 +265,19 @@ DEFORMABLE = spec("", {"flex": _FLEX, "skin": _SKIN})
 # The section <worldbody>.
 
 _JOINT = (
-    f"{of(Joint, but='body')} class group:int limited:{AUTO} actuatorfrclimited:{AUTO} "
+    f"{attrs_of(Joint, but='body')} class group:int limited:{AUTO} actuatorfrclimited:{AUTO} "
     "springyield:1 user:*"
 )
 _GEOM = (
-    f"{of(Geom, but='body type')} type:plane|hfield|sphere|capsule|ellipsoid|cylinder|box|mesh|sdf "
-    f"class material fromto:6 {_TURN} rgba:4 castshadow:{BOOL} user:*"
+    f"{attrs_of(Geom, but='body type')} type:plane|hfield|sphere|capsule|ellipsoid|cylinder|box|"
+    f"mesh|sdf class material fromto:6 {_TURN} rgba:4 castshadow:{BOOL} user:*"
 )
 _SITE = (
-    f"{of(Site, but='body type')} type:sphere|capsule|ellipsoid|cylinder|box|mesh class group:int "
-    f"{_TURN} material mesh fromto:6 rgba:4 user:*"
+    f"{attrs_of(Site, but='body type')} type:sphere|capsule|ellipsoid|cylinder|box|mesh class "
+    f"group:int {_TURN} material mesh fromto:6 rgba:4 user:*"
 )
 _CHILDREN: dict[str, Spec] = {
-    "inertial": spec(without(POSE, "pos") + " pos!:3 mass!:1 diaginertia:3 fullinertia:6"),
+    "inertial": spec(attrs_but(POSE, "pos") + " pos!:3 mass!:1 diaginertia:3 fullinertia:6"),
     "joint": spec(_JOINT),
     "freejoint": spec(f"name group:int align:{AUTO}"),
     "geom": spec(_GEOM, {"plugin": plugin()}),
@@ -290,7 +290,7 @@ _CHILDREN: dict[str, Spec] = {
     "composite": spec(role="unbuilt"),
 }
 _BODY = spec(
-    f"{of(Body, 'name', 'pos', 'quat', 'gravcomp', 'mocap', 'sleep')} childclass {_TURN} "
+    f"{attrs_of(Body, 'name', 'pos', 'quat', 'gravcomp', 'mocap', 'sleep')} childclass {_TURN} "
     "simple:false|auto fuse:false|auto user:*",
     once=("inertial",),
 )
@@ -306,11 +306,10 @@ WORLDBODY = spec("", {tag: inner for tag, inner in _CHILDREN.items() if tag not 
 
 # The sections <contact>, <tendon>, <equality> and <keyframe>.
 
-_PAIR = of(Pair).replace("geom1", "geom1!").replace("geom2", "geom2!") + " class"
+_PAIR = attrs_of(Pair).replace("geom1", "geom1!").replace("geom2", "geom2!") + " class"
 CONTACT = spec("", {"exclude": spec("name body1! body2!"), "pair": spec(_PAIR)})
-_TENDON = (
-    f"{of(Tendon)} class group:int limited:{AUTO} actuatorfrclimited:{AUTO} springyield:1 user:*"
-)
+_LIMITED = f"limited:{AUTO} actuatorfrclimited:{AUTO}"
+_TENDON = f"{attrs_of(Tendon)} class group:int {_LIMITED} springyield:1 user:*"
 _SPATIAL = f"{_TENDON} width:1 material rgba:4"
 TENDON = spec(
     "",
@@ -322,11 +321,11 @@ TENDON = spec(
         "fixed": spec(_TENDON, {"joint": spec("joint! coef!:1")}),
     },
 )
-_EQUALITY = f"{of(Equality, 'name', 'active', 'solref', 'solimp')} class"
+_EQUALITY = f"{attrs_of(Equality, 'name', 'active', 'solref', 'solimp')} class"
 
 
 def _equality(tag: str) -> Spec:
-    ends = of(Equality, *EQUALITY_FIELDS[tag])
+    ends = attrs_of(Equality, *EQUALITY_FIELDS[tag])
     return spec(f"{_EQUALITY} {ends}".replace("joint1", "joint1!").replace("tendon1", "tendon1!"))
 
 
@@ -338,11 +337,11 @@ EQUALITY = spec(
         "flexstrain": spec(f"{_EQUALITY} flex cell", role="unbuilt"),
     },
 )
-KEYFRAME = spec("", {"key": spec(f"{of(Key)} plastic:*")})
+KEYFRAME = spec("", {"key": spec(f"{attrs_of(Key)} plastic:*")})
 
 # The section <actuator>.
 
-_ACTUATOR = f"class group:int user:* ctrllimited:{AUTO} forcelimited:{AUTO} " + of(
+_ACTUATOR = f"class group:int user:* ctrllimited:{AUTO} forcelimited:{AUTO} " + attrs_of(
     Actuator,
     *("name", "nsample", "interp", "delay", "ctrlrange", "forcerange", "lengthrange", "gear"),
     *("damping", "armature", "cranklength", "joint", "jointinparent", "tendon", "slidersite"),
@@ -358,11 +357,11 @@ _BESIDE = {
 }
 # Attributes of individual actuators, in addition to the common ones.
 _LAWS = {
-    tag: f"{_BESIDE.get(tag, '')} {of(Actuator, *fields) if fields else ''}"
+    tag: f"{_BESIDE.get(tag, '')} {attrs_of(Actuator, *fields) if fields else ''}"
     for tag, fields in LAW_FIELDS.items()
     if tag not in ("input", "dcmotor", "general")
 } | {
-    "muscle": f"timeconst:2 {of(Actuator, *LAW_FIELDS['muscle'], but='timeconst')}",
+    "muscle": f"timeconst:2 {attrs_of(Actuator, *LAW_FIELDS['muscle'], but='timeconst')}",
     "dcmotor": "motorconst:1-2 resistance:1 nominal:1-3 saturation:1-3 inductance:1-2 cogging:1-3 "
     "controller:1-6 thermal:1-6 lugre:1-5 input",
     "general": f"actlimited:{AUTO} actrange:2 body actdim:int input velrange:2 ffrange:2 "
@@ -377,7 +376,7 @@ _WITHOUT = {
     "slidersite cranksite",
 }
 _ACTUATORS = {
-    tag: f"{without(_ACTUATOR, _WITHOUT.get(tag, ''))} {law}" for tag, law in _LAWS.items()
+    tag: f"{attrs_but(_ACTUATOR, _WITHOUT.get(tag, ''))} {law}" for tag, law in _LAWS.items()
 }
 # All actuators share one set of defaults, regardless of the shortcut.
 ACTUATORS = tuple(_ACTUATORS)
@@ -393,7 +392,7 @@ ACTUATOR = spec(
 
 # The section <sensor>: computed sensors, and the names of sensors that are not computed.
 
-_SENSOR = "name nsample:int interp:zoh|linear|cubic delay:1 interval:1-2 user:* " + of(
+_SENSOR = "name nsample:int interp:zoh|linear|cubic delay:1 interval:1-2 user:* " + attrs_of(
     Sensor, "cutoff", "noise"
 )
 _GEOMS = "geom1 geom2 body1 body2"
@@ -405,7 +404,7 @@ _ENDS = {
     **dict.fromkeys(OF_ACCELERATION, f"objtype!:{_OBJECT} objname!"),
     "insidesite": f"site! objtype!:{_OBJECT} objname! enclosed:{BOOL}",
     **dict.fromkeys(OF_GAP, _GEOMS),
-    "contact": f"{_GEOMS} subtree1 subtree2 site {of(Sensor, 'num', 'data', 'reduce')}",
+    "contact": f"{_GEOMS} subtree1 subtree2 site {attrs_of(Sensor, 'num', 'data', 'reduce')}",
 }
 SENSOR = spec(
     "",
@@ -444,16 +443,16 @@ CUSTOM = spec(
 _ONCE = {
     "joint": default_of(_JOINT),
     # A class can give the mesh of a geom and the material of a site.
-    "geom": spec(without(_GEOM, "name class")),
-    "site": spec(without(_SITE, "name class")),
+    "geom": spec(attrs_but(_GEOM, "name class")),
+    "site": spec(attrs_but(_SITE, "name class")),
     # All types of equality share one set of defaults, and so do both types of tendon.
     "equality": default_of(_EQUALITY),
     "pair": default_of(_PAIR),
     "tendon": default_of(_SPATIAL),
     "camera": default_of(_CAMERA),
-    "light": default_of(without(_LIGHT, "texture")),
+    "light": default_of(attrs_but(_LIGHT, "texture")),
     "texture": spec(_TEXTURE_LOOK),
-    "material": spec(without(_MATERIAL, "name class"), {"layer": spec("texture! role!")}),
+    "material": spec(attrs_but(_MATERIAL, "name class"), {"layer": spec("texture! role!")}),
     "mesh": spec(_MESH_DEFAULT),
 }
 # A default class has one actuator element for each shortcut.
@@ -488,10 +487,10 @@ ROOT = spec(
 )
 
 
-def given(kind: type[Element], values: Mapping[str, Any], *skip: str) -> dict[str, Any]:
+def class_fields(kind: type[Element], values: Mapping[str, Any], *skip: str) -> dict[str, Any]:
     """Return the fields of an element class that these attributes give, except those in `skip`."""
     fields: dict[str, Any] = {}
-    rows = table(kind)
+    rows = field_rows(kind)
     for name, value in values.items():
         row = rows.get(name)
         if row is None or name in skip or row.type.attribute is None:
@@ -506,9 +505,9 @@ def given(kind: type[Element], values: Mapping[str, Any], *skip: str) -> dict[st
     return fields
 
 
-def changed(element: Element, *skip: str) -> dict[str, Any]:
+def changed_attributes(element: Element, *skip: str) -> dict[str, Any]:
     """Return the attributes for the fields of an element that differ from their defaults."""
-    attributes, rows = {}, table(type(element))
+    attributes, rows = {}, field_rows(type(element))
     for name, value in element.values().items():
         row = rows[name]
         if value is not row.checked and name not in skip and value != row.default:

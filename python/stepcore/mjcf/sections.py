@@ -7,9 +7,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from stepcore.mjcf.assets import Assets
-from stepcore.mjcf.defaults import CONTROLLERS, ActuatorGains, Model, saturated
-from stepcore.mjcf.nodes import Node, Refusals, inside, options, sections
-from stepcore.mjcf.schema import NOT_IN_WORLD, given
+from stepcore.mjcf.defaults import CONTROLLERS, ActuatorGains, Model, saturated_motor
+from stepcore.mjcf.nodes import Node, Refusals, options, section_nodes, sections
+from stepcore.mjcf.schema import NOT_IN_WORLD, class_fields
 from stepcore.mjcf.validation import REFERENCES, bad
 from stepcore.scene import frames
 from stepcore.scene.elements import (
@@ -105,7 +105,7 @@ class WorldReader:
         self.mesh_sites: set[str] = set()
         self.only_drawn: set[int] = set()
         # Geoms of explicit pairs collide regardless of their masks.
-        pairs = [node for node in inside(self.root, "contact") if node.tag == "pair"]
+        pairs = [node for node in section_nodes(self.root, "contact") if node.tag == "pair"]
         self.paired = {pair.attrs.get(end, "") for pair in pairs for end in ("geom1", "geom2")}
         self.disabled_groups = frozenset(options(self.root).get("actuatorgroupdisable", ()))
 
@@ -151,7 +151,7 @@ class WorldReader:
     def _body(self, node: Node, place: Place) -> Place:
         values = node.values
         pos, quat = self._pose(node, values, place)
-        fields = given(Body, values, "name", "pos", "quat")
+        fields = class_fields(Body, values, "name", "pos", "quat")
         body = self.scene.add_body(values.get("name", ""), place.body, pos, quat, **fields)
         self.keep(node, body)
         if place.pose != AT_ORIGIN:
@@ -217,7 +217,7 @@ class WorldReader:
             actuatorfrcrange=forces,
             ref=convert(values.get("ref", 0.0)) if scalar else 0.0,
             springref=convert(values.get("springref", 0.0)) if scalar else 0.0,
-            **given(Joint, values, *_OF_JOINT),
+            **class_fields(Joint, values, *_OF_JOINT),
         )
         self.keep(node, joint)
         if angles:
@@ -280,7 +280,7 @@ class WorldReader:
         if assets:
             size = frames.ORIGIN
         # Only a primitive fitted to a mesh uses the scale.
-        fields = given(Geom, values, *_OF_GEOM, *(() if assets else ("fitscale",)))
+        fields = class_fields(Geom, values, *_OF_GEOM, *(() if assets else ("fitscale",)))
         if self.assets.unseen(values):
             fields["hidden"] = True
         pos, quat = pose
@@ -330,7 +330,7 @@ def _within(outer: tuple[Vec, Vec], pos: Vec, quat: Vec) -> tuple[Vec, Vec]:
 
 def contact(world: WorldReader, node: Node) -> None:
     if node.tag == "pair":
-        world.keep(node, world.scene.add_pair(**given(Pair, world.defaults.of(node))))
+        world.keep(node, world.scene.add_pair(**class_fields(Pair, world.defaults.of(node))))
     else:
         world.scene.exclude(node.values["body1"], node.values["body2"])
 
@@ -342,7 +342,7 @@ def tendon(world: WorldReader, node: Node) -> None:
         raise node.unbuilt("a spring that yields (springyield)", "springyield")
     if "material" in values:
         world.references.append((node, "material", values["material"]))
-    fields = given(Tendon, values, "name", "range", "actuatorfrcrange", "springlength")
+    fields = class_fields(Tendon, values, "name", "range", "actuatorfrcrange", "springlength")
     if "springlength" in values:
         # A single number gives both ends, even if a default class has a second number.
         springlength: Any = node.values.get("springlength", values["springlength"])
@@ -377,7 +377,7 @@ def equality(world: WorldReader, node: Node) -> None:
         raise node.error(f"<{node.tag}> needs body1, or site1 and site2")
     if node.tag == "connect" and "body1" in values and "anchor" not in values:
         raise node.error("<connect> needs body1 and anchor")
-    world.keep(node, world.scene.add_equality(node.tag, **given(Equality, values)))
+    world.keep(node, world.scene.add_equality(node.tag, **class_fields(Equality, values)))
 
 
 def sensor(world: WorldReader, node: Node) -> None:
@@ -388,9 +388,9 @@ def sensor(world: WorldReader, node: Node) -> None:
         return
     why = _not_computed(world, node)
     if why:
-        world.scene.ignored.append(node.listed(f"only senses; {why}"))
+        world.scene.ignored.append(node.ignored_line(f"only senses; {why}"))
         return
-    fields = given(Sensor, values)
+    fields = class_fields(Sensor, values)
     if node.tag == "user":
         if not 0 < values["dim"] <= MOST_NUMBERS:
             raise bad(node, "dim", values["dim"], f"1 to {MOST_NUMBERS}")
@@ -452,7 +452,7 @@ def _ends(world: WorldReader, node: Node) -> dict[str, Any]:
         body = kind in ("body", "xbody")
         if node.tag == "user" and not body and kind not in TYPES["user"][0]:
             why = f"read, but not what it is attached to: the {kind}"
-            world.scene.ignored.append(node.listed(f"{why} {values['objname']}"))
+            world.scene.ignored.append(node.ignored_line(f"{why} {values['objname']}"))
             continue
         put(field, "body" if body else kind, f"{prefix}name", kind if body else "")
     return ends
@@ -472,11 +472,11 @@ def actuator(world: WorldReader, node: Node) -> None:
     target = _transmission(node, values)
     gains = world.defaults.gains(node)
     _refuse(node, values, gains)
-    values = saturated(values, gains, node)
+    values = saturated_motor(values, gains, node)
     ctrlrange, actrange = _ranges(world, node, values, gains, target)
     fields: dict[str, Any] = {
         **target,
-        **given(Actuator, {name: values[name] for name in COPIED if name in values}),
+        **class_fields(Actuator, {name: values[name] for name in COPIED if name in values}),
         **gains.fields,
     }
     added = world.scene.add_actuator(
@@ -641,7 +641,7 @@ def keyframes(world: WorldReader) -> None:
         "mpos": [x for body in mocaps for x in body.pos],
         "mquat": [x for body in mocaps for x in body.quat],
     }
-    for node in inside(world.root, "keyframe"):
+    for node in section_nodes(world.root, "keyframe"):
         world.refusals.at(node, partial(_keyframe, world, layout, rest))
     world.refusals.raise_all()
     count = 0

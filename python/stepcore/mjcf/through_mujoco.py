@@ -33,14 +33,14 @@ from stepcore.mjcf.nodes import (
     Node,
     below,
     expand,
-    inside,
     parse,
     read_named,
+    section_nodes,
     sections,
 )
 from stepcore.mjcf.validation import bad
 from stepcore.needs import installing
-from stepcore.scene.element import table
+from stepcore.scene.element import field_rows
 from stepcore.scene.elements import MassRules
 
 # The maximum number of elements that one file makes, and the maximum depth of attached models.
@@ -161,7 +161,7 @@ class Expansion:
         models: dict[str, Attached] = {}
         attached = [node for node in below(root) if node.tag == "attach"]
         bare = {node.attrs.get("model", "") for node in attached if not node.attrs.get("prefix")}
-        for node in inside(root, "asset"):
+        for node in section_nodes(root, "asset"):
             if node.tag == "model":
                 model = self._model(node, compiler, chain, bare)
                 name = node.values.get("name", model.name)
@@ -196,18 +196,18 @@ class Expansion:
             if node.values.get("name", root.attrs.get("model", "")) in bare:
                 _name_classes(root, f"{len(self.files)}.", self._classes)
             self._classes |= _classes(root)
-            own = Compiler(sections(root, "compiler"), os.path.abspath(path.parent), root.file)
-            size = _size(root, self._models(root, own, [*chain, str(path)]))
+            rules = Compiler(sections(root, "compiler"), os.path.abspath(path.parent), root.file)
+            size = _size(root, self._models(root, rules, [*chain, str(path)]))
             file = Path(self._folder, f"{len(self._made)}.xml")
-            file.write_text(_text(_lines(root, own)), encoding="utf-8")
-            rest = [node for tag in SECTIONS for node in inside(root, tag)]
+            file.write_text(_text(_lines(root, rules)), encoding="utf-8")
+            rest = [node for tag in SECTIONS for node in section_nodes(root, tag)]
             named = tuple(node.attrs["name"] for node in rest if node.attrs.get("name"))
             self._made[here] = Attached(root.attrs.get("model", ""), size, str(file), named)
         return self._made[here]
 
 
 def _classes(root: Node) -> set[str]:
-    inner = [node for top in inside(root, "default") for node in below(top)]
+    inner = [node for top in section_nodes(root, "default") for node in below(top)]
     return {node.attrs["class"] for node in inner if "class" in node.attrs}
 
 
@@ -285,7 +285,7 @@ def _attributes(node: Node, compiler: Compiler) -> dict[str, str]:
 
 def _check_meshes(root: Node) -> None:
     """Raise MJCFError if a builtin mesh has too many vertices."""
-    for node in inside(root, "asset"):
+    for node in section_nodes(root, "asset"):
         if node.tag == "mesh" and node.values.get("builtin") in MOST_VERTICES:
             counts, most = MOST_VERTICES[node.values["builtin"]]
             params = node.values.get("params", ())
@@ -299,7 +299,7 @@ def _size(root: Node, models: Mapping[str, Attached]) -> int:
     An element outside the tree counts once for each copy of a body, which it may refer to.
     """
     size, most = 0, 1
-    pending = [(node, 1) for node in inside(root, "worldbody")]
+    pending = [(node, 1) for node in section_nodes(root, "worldbody")]
     while pending:
         node, copies = pending.pop()
         size += copies
@@ -342,8 +342,8 @@ def _left_out(root: Node, models: Mapping[str, Attached], expanded: Node) -> lis
             if not any(place.startswith(full) for place in names[max(at, 0) : at + 2]):
                 gone.append(name)
         if gone:
-            listed = cut(", ".join(gone), 200)
-            notes.append(f"{node.file}:{node.line}: <attach> leaves out {listed}")
+            shortened = cut(", ".join(gone), 200)
+            notes.append(f"{node.file}:{node.line}: <attach> leaves out {shortened}")
     return notes
 
 
@@ -379,11 +379,11 @@ def _written(spec: Any) -> str:
     other = ""
     # Free bodies are aligned now; and where models have other rules for masses, every body's
     # inertia is written in place of the rules.
-    for followed in (("alignfree",), ("alignfree", *table(MassRules))):
+    for followed in (("alignfree",), ("alignfree", *field_rows(MassRules))):
         spec.compiler.saveinertial |= len(followed) > 1
         with exact_numbers():
             text = re.sub(rf' ({"|".join(followed)})="[^"]*"', "", spec.to_xml())
-        other = difference(model, _compiled(mujoco.MjSpec.from_string(text)))
+        other = differing_array(model, _compiled(mujoco.MjSpec.from_string(text)))
         if not other:
             return text
     raise ValueError(f"the expanded model cannot be written without a change of its {other}")
@@ -395,7 +395,7 @@ def _compiled(spec: Any) -> Any:
     return spec.compile()
 
 
-def difference(model: Any, other: Any) -> str:
+def differing_array(model: Any, other: Any) -> str:
     """Return the name of the first array in which the physics of two models differs, or ""."""
     if bytes(model.names) != bytes(other.names):
         return "names"

@@ -19,11 +19,11 @@ from stepcore.mjcf.nodes import (
     Node,
     Refusals,
     effect,
-    inside,
     is_own_text,
+    section_nodes,
 )
 from stepcore.mjcf.schema import ROOT, SEEN, TAKEN_BACK, UNCHECKED, Spec
-from stepcore.scene.element import table
+from stepcore.scene.element import field_rows
 from stepcore.scene.elements import Actuator, Equality, Geom, Pair
 
 # Stricter than float(): no nan, inf, underscores or other spellings.
@@ -98,7 +98,7 @@ def _strip(node: Node, spec: Spec) -> list[str]:
     unknown = [name for name in node.attrs if name not in spec.attrs]
     for name in unknown:
         del node.attrs[name]
-    return [node.listed(f"{name} does nothing in {node.tag}") for name in unknown]
+    return [node.ignored_line(f"{name} does nothing in {node.tag}") for name in unknown]
 
 
 def _read(node: Node, spec: Spec, parent: Node, above: str, ignored: list[str]) -> None:
@@ -110,7 +110,7 @@ def _read(node: Node, spec: Spec, parent: Node, above: str, ignored: list[str]) 
     if spec.role == "unbuilt":
         raise node.unbuilt(f"<{node.tag}> in <{parent.tag}>")
     if spec.role and spec.role != above and not is_own_text(node):
-        ignored.append(node.listed(WHY[spec.role]))
+        ignored.append(node.ignored_line(WHY[spec.role]))
 
 
 def values_of(node: Node, spec: Spec) -> dict[str, object]:
@@ -133,12 +133,12 @@ def values_of(node: Node, spec: Spec) -> dict[str, object]:
     return result
 
 
-def seen_values(node: Node, known: Mapping[str, Any] | None = None) -> dict[str, Any]:
+def seen_values(node: Node, values: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """Return the attributes that views show of an element that only draws.
 
-    known: the attribute texts, completed from the default class. Raises MJCFError for a bad value.
+    values: the attribute texts, completed from the default class. Raises MJCFError for a bad value.
     """
-    spec, texts = SEEN[node.tag], node.values if known is None else known
+    spec, texts = SEEN[node.tag], node.values if values is None else values
     seen = {name: texts[name] for name in spec.attrs if name in texts}
     return values_of(Node(node.tag, seen, node.file, node.line), spec)
 
@@ -194,7 +194,7 @@ REFERENCES = {
     **{
         row.name: row.type.refers[0].lower()
         for kind in (Geom, Actuator, Equality, Pair)
-        for row in table(kind).values()
+        for row in field_rows(kind).values()
         if len(row.type.refers) == 1 and row.name != "feeds"
     },
     **{name: name for name in ("camera", "actuator", "sensor", "geom", "material", "texture")},
@@ -209,7 +209,7 @@ _ONE_KIND = ("tendon", "actuator", "sensor", "equality", "keyframe")
 _KEPT = ("compiler", "default", "worldbody", "asset", "size")
 
 
-def kind_of(node: Node) -> str:
+def removable_kind(node: Node) -> str:
     section, _, tag = node.path.partition("/")
     if section in _ONE_KIND or not tag:
         return section
@@ -303,7 +303,7 @@ class Exclusions:
                 self.nodes[kind].append(node)
 
     def begin(self, root: Node) -> None:
-        self._actuators = [id(node) for node in inside(root, "actuator")]
+        self._actuators = [id(node) for node in section_nodes(root, "actuator")]
 
     def follow(self, root: Node) -> None:
         """Remove all elements that refer, directly or indirectly, to a left-out element."""
@@ -328,7 +328,7 @@ class Exclusions:
         for part in root.children:
             kept: list[Node] = []
             for node in part.children:
-                kinds = (gone.get(of, {}).get(name, "") for _, of, name in references(node))
+                kinds = (gone.get(target, {}).get(name, "") for _, target, name in references(node))
                 kind = "" if part.tag == "default" else next(filter(None, kinds), "")
                 removed |= bool(kind)
                 (self.nodes[kind] if kind else kept).append(node)
@@ -344,9 +344,9 @@ class Exclusions:
                 continue
             names = [f'<{n.tag}> "{n.attrs["name"]}"' for n in nodes if n.attrs.get("name")]
             more = f" and {len(nodes) - 5} more" if len(nodes) > 5 else ""
-            listed = f" ({', '.join(names[:5])}{more})" if names else ""
+            examples = f" ({', '.join(names[:5])}{more})" if names else ""
             where, does = f"{nodes[0].file}:{nodes[0].line}", effect(kind)
-            text = f"{where}: without {kind}: {len(nodes)} left out{listed}"
+            text = f"{where}: without {kind}: {len(nodes)} left out{examples}"
             notes.append(cut(text + (f": {does}" if does else ""), 400))
         return notes
 

@@ -18,11 +18,11 @@ from typing import TYPE_CHECKING, Any
 from stepcore import checks, files
 from stepcore._core import Settings
 from stepcore.mjcf.nodes import DEPTH, OWN_TEXT
-from stepcore.mjcf.option import NAMED_KINDS, implied, own_data, said, shortest, to_say
+from stepcore.mjcf.option import NAMED_KINDS, as_option, implied, own_data, shortest, to_say
 from stepcore.mjcf.reader import read_text
-from stepcore.mjcf.schema import OWN_FEATURES, changed
+from stepcore.mjcf.schema import OWN_FEATURES, changed_attributes
 from stepcore.scene import frames
-from stepcore.scene.element import table
+from stepcore.scene.element import field_rows
 from stepcore.scene.elements import (
     WHOLE,
     Actuator,
@@ -41,10 +41,10 @@ from stepcore.scene.elements.actuator import TARGET_FIELDS
 from stepcore.scene.elements.actuator_laws import ALL_LAW_FIELDS, FED
 from stepcore.scene.elements.body import SITE_SIZE
 from stepcore.scene.elements.sensor import ENDS, OF_GAP, TYPED
-from stepcore.scene.elements.tendon import STOPS, parts
+from stepcore.scene.elements.tendon import STOPS, stop_parts
 from stepcore.scene.frames import Vec
 from stepcore.scene.layout import SIZES, Layout
-from stepcore.scene.records import check
+from stepcore.scene.records import check_scene
 
 if TYPE_CHECKING:
     from stepcore.mjcf.nodes import Source
@@ -83,10 +83,10 @@ def text(value: Any) -> str:
         return "true" if value else "false"
     if isinstance(value, (tuple, list)):
         return " ".join(shortest(number) for number in value)
-    return escaped(value) if isinstance(value, str) else shortest(value)
+    return quotable(value) if isinstance(value, str) else shortest(value)
 
 
-def escaped(value: str) -> str:
+def quotable(value: str) -> str:
     """Escape a text for quotes; raise ValueError for characters that XML does not allow."""
     if _FORBIDDEN.search(value):
         raise ValueError(f"{value!r}: XML does not allow this character in a name")
@@ -164,14 +164,14 @@ GENERAL = {"actearly": (), "actrange": ("intvelocity",)}
 def written(scene: Scene) -> str:
     """Return the scene as an MJCF text; see `Scene.to_mjcf`."""
     layout = Layout(scene)
-    check(layout)
+    check_scene(layout)
     world = scene.world
     if world.name != "world" or world.mass is not None:
         raise ValueError(f"{world}: the world of an MJCF file is called world and has no mass")
     names = Names(layout, _referred(scene))
     root = Tag("mujoco", **({"model": scene.name} if scene.name else {}))
-    compiler = root.add(Tag("compiler", angle="radian", **changed(scene.mass_rules)))
-    if ranges := changed(scene.lengthrange):
+    compiler = root.add(Tag("compiler", angle="radian", **changed_attributes(scene.mass_rules)))
+    if ranges := changed_attributes(scene.lengthrange):
         compiler.add(Tag("lengthrange", **ranges))
     words = _add_option(root, scene)
     meshes = [_mesh(mesh, names) for mesh in scene.meshes]
@@ -205,7 +205,7 @@ def written(scene: Scene) -> str:
 
 def _referred(scene: Scene) -> list[Element]:
     holders = [*scene.pairs, *scene.equalities, *scene.actuators, *scene.sensors]
-    fields = [(e, f) for e in holders for f, row in table(type(e)).items() if row.type.refers]
+    fields = [(e, f) for e in holders for f, row in field_rows(type(e)).items() if row.type.refers]
     ends = [getattr(element, field) for element, field in fields if field != "feeds"]
     ends += [body for pair in scene.excludes for body in pair]
     ends += [element for tendon in scene.tendons for element in tendon.elements()]
@@ -219,17 +219,17 @@ def _add_section(root: Tag, name: str, tags: list[Tag]) -> None:
 
 def _add_option(root: Tag, scene: Scene) -> dict[str, Any]:
     """Add the option section; return the settings that MJCF lacks."""
-    attributes, flags, rest = said(to_say(scene.settings))
+    attributes, flags, rest = as_option(to_say(scene.settings))
     for name, usual in WHOLE.items():
         if getattr(scene, name) != usual:
             attributes[name] = text(getattr(scene, name))
-    features = changed(scene.features)
+    features = changed_attributes(scene.features)
     for name, on in features.items():
         if name in OWN_FEATURES:
             rest[name] = on
         else:
             flags[name] = "enable" if on else "disable"
-    override = changed(scene.contact_override)
+    override = changed_attributes(scene.contact_override)
     if override.pop("enable", False):
         flags["override"] = "enable"
     attributes |= {f"o_{name}": text(value) for name, value in override.items()}
@@ -248,7 +248,7 @@ def _option(attributes: dict[str, str], flags: dict[str, str]) -> Tag:
 
 def _tag(kind: str, element: Element, names: Names, *skip: str, **first: Any) -> Tag:
     """Return a tag with the element's name, `first`, and the fields that are no defaults."""
-    attributes = changed(element, "name", *skip, *first)
+    attributes = changed_attributes(element, "name", *skip, *first)
     return Tag(kind, **names.attribute(element), **names.in_place(first | attributes))
 
 
@@ -349,7 +349,7 @@ def _joint(joint: Joint, names: Names) -> Tag:
 
 
 def _geom(geom: Geom, names: Names) -> Tag:
-    attributes = changed(geom, "name", "body", "size", "mesh", "hfield")
+    attributes = changed_attributes(geom, "name", "body", "size", "mesh", "hfield")
     attributes |= names.in_place({"mesh": geom.mesh, "hfield": geom.hfield})
     if attributes.pop("hidden", False):
         # MuJoCo's grey with opacity 0.
@@ -372,7 +372,7 @@ def _tendon(tendon: Tendon, names: Names) -> Tag:
     tag = _tag("fixed" if tendon.fixed else "spatial", tendon, names, "path")
     kinds = {stop: kind for kind, stop in STOPS.items()}
     for stop in tendon.path:
-        tag.add(Tag(kinds.get(type(stop), "site"), **names.in_place(parts(stop))))
+        tag.add(Tag(kinds.get(type(stop), "site"), **names.in_place(stop_parts(stop))))
     return tag
 
 
@@ -386,7 +386,7 @@ def _equality(equality: Equality, names: Names) -> Tag:
 
 def _actuator(actuator: Actuator, behind: list[Actuator], names: Names) -> Tag:
     """Return the tag of an actuator. behind: the following actuators, one per further input."""
-    attributes = changed(actuator, "name", "type", "enabled")
+    attributes = changed_attributes(actuator, "name", "type", "enabled")
     target = {field: attributes.pop(field, None) for field in TARGET_FIELDS}
     first: dict[str, Any] = names.attribute(actuator) | names.in_place(target)
     if not actuator.enabled:
@@ -486,12 +486,12 @@ _NAMES_FILE = re.compile(rb"\sfile\w*\s*=")
 
 
 def save(scene: Scene, path: str | os.PathLike[str]) -> None:
-    target = Path(files.path("path", path))
-    data = kept(scene, os.path.abspath(target.parent))
+    target = Path(files.as_path("path", path))
+    data = current_text(scene, os.path.abspath(target.parent))
     target.write_bytes(written(scene).encode() if data is None else data)
 
 
-def kept(scene: Scene, directory: str) -> bytes | None:
+def current_text(scene: Scene, directory: str) -> bytes | None:
     """Return the text of the scene's file with the current settings; None if not possible.
 
     directory: the folder in which the text will be saved.
@@ -536,7 +536,7 @@ def _edited(data: bytes, in_place: bool, original: Scene, scene: Scene) -> bytes
         for name, value in after.items()
         if value != before[name] or name in implications
     }
-    attributes, flags, _ = said(changed)
+    attributes, flags, _ = as_option(changed)
     if scene.name != original.name:
         data = _with(data, _last_start(data, "mujoco"), {"model": scene.name})
     for tag, values in (("option", attributes), ("flag", flags)):
@@ -545,7 +545,7 @@ def _edited(data: bytes, in_place: bool, original: Scene, scene: Scene) -> bytes
             data = _with(data, start, values)
             values.clear()
     added = [_option(attributes, flags)] if attributes or flags else []
-    rest = said(to_say(scene.settings))[2]
+    rest = as_option(to_say(scene.settings))[2]
     opening = _OWN_START.search(data)
     if opening:
         data = _with_words(data, opening, rest)
@@ -580,7 +580,7 @@ def _with(data: bytes, start: re.Match[bytes] | None, attributes: dict[str, str]
         return data
     tag = start[0]
     for name, value in attributes.items():
-        word = f'{name}="{escaped(value)}"'.encode()
+        word = f'{name}="{quotable(value)}"'.encode()
         match = re.search(rb"""(?<=\s)%s\s*=\s*("[^"]*"|'[^']*')""" % name.encode(), tag)
         if match:
             tag = tag[: match.start()] + word + tag[match.end() :]

@@ -11,7 +11,7 @@ import os
 import stat
 from typing import Any
 
-from stepcore.files import LARGEST
+from stepcore.files import LARGEST_FILE
 
 MARK = "written by stepcore"
 MARKS = (MARK.encode(), b'"kind": "stepcore replay"')
@@ -33,7 +33,7 @@ def is_replaceable(path: str) -> bool:
         if not stat.S_ISREG(status.st_mode) or not status.st_size:
             return True
         with open(path, "rb") as file:
-            data = file.read(LARGEST)
+            data = file.read(LARGEST_FILE)
     except FileNotFoundError:
         return True
     except OSError:

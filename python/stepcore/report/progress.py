@@ -34,8 +34,8 @@ Choice = Callable[[str, int, int], None] | bool | None
 
 # The remaining time is shown only after this time [s], because earlier estimates are unreliable.
 BEGUN = 2.0
-# The time between two lines without a terminal, and the pause after which it restarts [s].
-LINES, PAUSE = 10.0, 1.0
+# The time between two lines without a terminal [s].
+LINES = 10.0
 
 
 class Progress:
@@ -123,7 +123,7 @@ class _Lines:
 
     def begin(self) -> None:
         """Begin to count, unless the last work has only just ended."""
-        if clock() - self._ended > PAUSE:
+        if clock() - self._ended > 1.0:  # a pause restarts the lines
             self._last = clock()
 
     def end(self) -> None:

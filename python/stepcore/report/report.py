@@ -82,10 +82,10 @@ class Report:
         full: every note; else the notes that fit on a screen, and the number of further notes.
         """
         size = window() if width is None else checks.count("width", width, 20)
-        said = [line for sentence in self.sentences for line in _wrapped(sentence, size)]
+        answer = [line for sentence in self.sentences for line in _wrapped(sentence, size)]
         setup = [line for text in self.setup.splitlines() for line in _wrapped(text, size)]
         tables = [[*_table(table, size)] for table in self.tables]
-        blocks = [block for block in (_wrapped(self.title, size), said, setup, *tables) if block]
+        blocks = [block for block in (_wrapped(self.title, size), answer, setup, *tables) if block]
         room = math.inf if full else SCREEN - sum(len(block) + 1 for block in blocks)
         blocks.append([*_notes(self.notes, size, room)])
         return "\n\n".join("\n".join(block) for block in blocks if block)
@@ -105,7 +105,7 @@ class Report:
             mark=MARK,
             style=style,
             answer="\n".join(_prose(self.sentences)),
-            picture=picture(plot, self.title),
+            picture=inline_picture(plot, self.title),
             details=self._details(),
             script=script,
         )
@@ -119,7 +119,7 @@ class Report:
         return "\n".join([*setup, *tables, *notes])
 
 
-def picture(drawn: bytes, title: str) -> str:
+def inline_picture(drawn: bytes, title: str) -> str:
     """Return an SVG drawing as an inline image."""
     coded = base64.b64encode(drawn).decode("ascii")
     alt = html.escape(escapes.printable(title), quote=True)
@@ -142,9 +142,9 @@ def _notes(notes: Sequence[str], size: int, room: float) -> Iterator[str]:
         yield from _wrapped(not_shown(counted(left, more)), size)
 
 
-def not_shown(what: str) -> str:
+def not_shown(content: str) -> str:
     """Return how to see what a short report leaves out, as a sentence."""
-    return f"Not shown: {what} (--all; in Python text(full=True))."
+    return f"Not shown: {content} (--all; in Python text(full=True))."
 
 
 def _note(note: str) -> str:

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 
 from stepcore import checks, files
 from stepcore.report.outputs import MARK
-from stepcore.report.report import Report, picture
+from stepcore.report.report import Report, inline_picture
 from stepcore.report.table import Table, jsonable
 
 
@@ -144,7 +144,7 @@ class Result(ABC):
 
         Needs matplotlib.
         """
-        target = None if path is None else files.path("path", path)
+        target = None if path is None else files.as_path("path", path)
         page = self.report(full=True).page(self._drawn())
         if target is not None:
             Path(target).write_text(page, encoding="utf-8")
@@ -158,7 +158,7 @@ class Result(ABC):
 
     def _repr_html_(self) -> str:
         try:
-            drawn = picture(self._drawn(), self.title)
+            drawn = inline_picture(self._drawn(), self.title)
         except ImportError:
             drawn = ""
         return self.report().html(drawn)

@@ -12,8 +12,8 @@ def label(settings: Settings, shipped: Settings | None = None, sweeps: bool = Tr
     if settings.precision != "f64":
         parts.append(settings.precision)
     if shipped is not None:
-        parts += [words for words in differences(settings, shipped) if words not in parts[1]]
-    parts += [within(settings)] if shipped is None else []
+        parts += [words for words in unlabelled(settings, shipped) if words not in parts[1]]
+    parts += [tolerance_words(settings)] if shipped is None else []
     return ", ".join([*filter(None, parts), f"dt {seconds(settings.dt)}"])
 
 
@@ -23,7 +23,7 @@ def differing(settings: Settings) -> str:
     return text if text != "Settings()" else f"Under {label(settings)}."
 
 
-def within(settings: Settings) -> str:
+def tolerance_words(settings: Settings) -> str:
     """Return the accuracy that the steps keep, in words; "" for steps of a fixed length."""
     return "" if settings.accuracy is None else f"accuracy {metres(settings.accuracy)}"
 
@@ -40,7 +40,7 @@ def solver_words(settings: Settings) -> str:
     return f"pgs {counted(int(settings.sweeps), 'sweep')}"
 
 
-def differences(settings: Settings, shipped: Settings) -> list[str]:
+def unlabelled(settings: Settings, shipped: Settings) -> list[str]:
     """Return the differences in fields that `label` omits."""
     words = []
     usual = shipped.sweeps if shipped.solver == "newton" else 100
@@ -57,5 +57,5 @@ def differences(settings: Settings, shipped: Settings) -> list[str]:
     if settings.cone != shipped.cone:
         words.append(settings.cone)
     if settings.accuracy != shipped.accuracy:
-        words.append(within(settings) or "steps of fixed length")
+        words.append(tolerance_words(settings) or "steps of fixed length")
     return words

@@ -67,8 +67,8 @@ class Table:
         if isinstance(key, int):
             return self.records[key]
         if isinstance(key, slice):
-            said = {"heading": self.heading, "legend": self.legend}
-            return Table(self.records[key], self.columns, self.formats, **said)
+            captions = {"heading": self.heading, "legend": self.legend}
+            return Table(self.records[key], self.columns, self.formats, **captions)
         if key not in self.columns:
             raise KeyError(f"no column '{key}'; the table has: {', '.join(self.columns)}")
         return [record[key] for record in self.records]

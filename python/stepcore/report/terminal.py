@@ -9,12 +9,12 @@ import threading
 from contextlib import suppress
 
 # The width without a terminal, sufficient for every column of a trade.
-WIDTH = 160
+WIDE = 160
 
 
 def window() -> int:
     """Return the number of characters in a line of the terminal."""
-    return shutil.get_terminal_size((WIDTH, 40)).columns
+    return shutil.get_terminal_size((WIDE, 40)).columns
 
 
 def watched() -> bool:
@@ -38,10 +38,10 @@ class LastLine:
     @property
     def room(self) -> int:
         """The number of characters that can be drawn over; a line that wraps cannot."""
-        columns = WIDTH
+        columns = WIDE
         with suppress(OSError, ValueError):
             # Standard output, which `window` reads, can be a file.
-            columns = os.get_terminal_size(sys.stderr.fileno()).columns or WIDTH
+            columns = os.get_terminal_size(sys.stderr.fileno()).columns or WIDE
         return shutil.get_terminal_size((columns, 40)).columns - 1
 
     def draw(self, text: str) -> None:

@@ -143,7 +143,7 @@ def compact(value: float) -> str:
     return f"{digits}e{int(exponent)}"
 
 
-def unit_of(field: str, angular: bool) -> str:
+def kind_unit(field: str, angular: bool) -> str:
     """Return the unit of a joint's or an actuator's value; "" for a value without a unit."""
     return FIELDS.get(field, ("", ""))[not angular]
 
@@ -164,7 +164,7 @@ def time_of(text: str) -> float | None:
     return _in_units(text, TIMES)
 
 
-def length_of(text: str) -> float | None:
+def parse_length(text: str) -> float | None:
     """Parse a length [m] such as "0.01" or "1cm"; return None for other text."""
     return _in_units(text, (*LENGTHS, CENTIMETRES))
 
@@ -180,11 +180,11 @@ def _in_units(text: str, units: Units, plain: bool = True) -> float | None:
         with suppress(ValueError):
             return float(text)
     match = re.fullmatch(NUMBER + r"(%|[\w·/²°]+)\s*", text)
-    known = dict(units) | {unit.replace("µ", "u"): size for unit, size in units}
-    if match is None or match[2] not in known:
+    sizes = dict(units) | {unit.replace("µ", "u"): size for unit, size in units}
+    if match is None or match[2] not in sizes:
         return None
     # Decimals avoid rounding, so that "20us" is exactly the float 2e-05.
-    return float(Decimal(match[1]) * Decimal(repr(known[match[2]])))
+    return float(Decimal(match[1]) * Decimal(repr(sizes[match[2]])))
 
 
 def time(name: str, value: object) -> float:
@@ -224,22 +224,22 @@ PREFIXED: dict[str, Units] = {
 }
 
 
-def amount(owner: str, name: str, value: object, unit: str, whole: float, of: str) -> float:
+def amount(owner: str, name: str, value: object, unit: str, reference: float, words: str) -> float:
     """Parse a quantity with a unit: a number, "2N", or "1%" of a whole.
 
     owner, name: the function and its argument, for the ValueError. unit: the SI unit; "" for none.
-    whole: 100 %, and `of` its name.
+    reference: 100 %, in `words`.
 
     >>> [amount("trade", "error", value, "rad", 2.0, "its range") for value in ("1%", "2mrad", 1)]
     [0.02, 0.002, 1.0]
     """
-    result, known = checks.number(value), PREFIXED.get(unit, ((unit, 1.0),) if unit else ())
+    result, prefixes = checks.number(value), PREFIXED.get(unit, ((unit, 1.0),) if unit else ())
     if result is None and isinstance(value, str):
-        plain = {name.replace("·", ""): size for name, size in known}
-        result = _in_units(value, (*known, *plain.items(), ("%", whole / 100)))
+        plain = {name.replace("·", ""): size for name, size in prefixes}
+        result = _in_units(value, (*prefixes, *plain.items(), ("%", reference / 100)))
     if result is None or not 0 < result < math.inf:
         forms = f'an amount > 0: a number in {unit}, "1{unit}"' if unit else "a number > 0"
-        raise checks.refuse(owner, name, value, f'{forms}, or "1%" of {of}')
+        raise checks.refuse(owner, name, value, f'{forms}, or "1%" of {words}')
     return result
 
 
@@ -297,10 +297,10 @@ def rounded(value: float, digits: int = 3, *, up: bool | None = None) -> float:
     # Through text, because the power of ten of a small number would overflow.
     count = float(f"{value:.16e}".split("e")[0]) * 10.0 ** (digits - 1)
     # A number with as many digits already is kept.
-    whole = round(count)
-    if not math.isclose(count, whole, rel_tol=1e-9):
-        whole = math.ceil(count) if up else math.floor(count)
-    return float(f"{whole}e{place}")
+    mantissa = round(count)
+    if not math.isclose(count, mantissa, rel_tol=1e-9):
+        mantissa = math.ceil(count) if up else math.floor(count)
+    return float(f"{mantissa}e{place}")
 
 
 def round_number(value: float, *, up: bool) -> float:

@@ -64,7 +64,7 @@ def read_mesh(path: str | os.PathLike[str], content_type: str = "") -> Surface:
     if kind not in MESHES.values():
         endings = ", ".join("." + each for each in MESHES.values())
         raise _refused(name, f"the name of a mesh file ends with {endings}")
-    data = files.read(name, "a mesh file")
+    data = files.contents(name, "a mesh file")
     if kind == "dae" and importlib.util.find_spec("collada") is None:
         raise _refused(name, f"COLLADA files need pycollada: {installing('dae')}")
     try:
@@ -85,12 +85,12 @@ def read_hfield(path: str | os.PathLike[str], content_type: str = "") -> NDArray
     """
     name = os.fsdecode(path)
     kind = _known("height field", name, content_type, HFIELDS)
-    data = files.read(name, "a height field")
+    data = files.contents(name, "a height field")
     image = kind == "png" if kind else name.lower().endswith(".png")
     if image and importlib.util.find_spec("PIL") is None:
         raise _refused(name, f"heights of an image need pillow: {installing('view')}")
     try:
-        heights = image_levels(data) if image else binary(data)
+        heights = image_levels(data) if image else binary_heights(data)
         if not np.isfinite(heights).all():
             raise ValueError("a height is not a finite number")
     except ValueError as error:
@@ -383,7 +383,7 @@ def _red(indices: NDArray[Any], reds: NDArray[Any]) -> NDArray[Any]:
     return reds[indices]
 
 
-def binary(data: bytes) -> NDArray[Any]:
+def binary_heights(data: bytes) -> NDArray[Any]:
     """Return the heights of MuJoCo's binary format.
 
     The format has two counts, then the heights row by row, with the row of the smallest y first.

@@ -1,7 +1,7 @@
 """`Element`: a record whose fields are checked on every assignment.
 
-The annotations of an element class are the table of its attributes (`table`). The MJCF reader and
-writer, value paths, the records for the engine, the types of keyword arguments and
+The annotations of an element class are the table of its attributes (`field_rows`). The MJCF reader
+and writer, value paths, the records for the engine, the types of keyword arguments and
 docs/mjcf_attributes.md all follow from this table.
 """
 
@@ -28,14 +28,14 @@ class FieldType:
     """The type of a field.
 
     check: converts an assigned value to the stored value, or raises.
-    given: the type of assigned values, for type checkers; "" for a reference.
+    annotation: the type of assigned values, for type checkers; "" for a reference.
     attribute: the notation of MJCF's attribute (`stepcore.mjcf.schema`); None if MJCF has none.
     read, write: convert the value of an MJCF attribute to the value of the field, and back.
     refers: the classes of elements that the field refers to.
     """
 
     check: checks.Check
-    given: str
+    annotation: str
     attribute: str | None = None
     read: Callable[[Any], Any] | None = None
     write: Callable[[Any], Any] | None = None
@@ -96,7 +96,7 @@ def _named(element: Element, error: checks.ElementError) -> checks.ElementError:
     return result
 
 
-def table(kind: type[Element]) -> dict[str, Row]:
+def field_rows(kind: type[Element]) -> dict[str, Row]:
     """Return the fields of an element class by name, in order."""
     if kind not in _TABLES:
         hints = typing.get_type_hints(kind, include_extras=True)
@@ -114,7 +114,7 @@ def table(kind: type[Element]) -> dict[str, Row]:
 
 def _checks_of(kind: type[Element]) -> dict[str, tuple[checks.Check, object, object]]:
     if kind not in _CHECKS:
-        table(kind)
+        field_rows(kind)
     return _CHECKS[kind]
 
 
@@ -224,7 +224,7 @@ class Element:
 @functools.cache
 def _value_plan(kind: type[Element]) -> list[tuple[str, str]]:
     """Return (field, field of its higher coefficients or "") for `Element.values`."""
-    rows = table(kind)
+    rows = field_rows(kind)
     higher = {row.poly for row in rows.values()}
     return [(name, row.poly) for name, row in rows.items() if name not in higher]
 
@@ -232,7 +232,7 @@ def _value_plan(kind: type[Element]) -> list[tuple[str, str]]:
 @functools.cache
 def _record_plan(kind: type[Element], skip: tuple[str, ...]) -> list[tuple[str, str, str, str]]:
     """Return (field, engine's name, higher coefficients or "", solimp or "") for a record."""
-    rows = table(kind)
+    rows = field_rows(kind)
     plan, inside = [], {*skip, *(row.poly for row in rows.values())}
     for name, row in rows.items():
         solimp = name.replace("solref", "solimp") if name.startswith("solref") else ""
@@ -248,7 +248,7 @@ def _record_plan(kind: type[Element], skip: tuple[str, ...]) -> list[tuple[str, 
 
 @functools.cache
 def _references(kind: type[Element]) -> tuple[str, ...]:
-    return tuple(name for name, row in table(kind).items() if row.type.refers)
+    return tuple(name for name, row in field_rows(kind).items() if row.type.refers)
 
 
 def place_of(places: Places, element: Element) -> int:
@@ -257,7 +257,7 @@ def place_of(places: Places, element: Element) -> int:
     return -1 if place is None else place
 
 
-def made(kind: type[E], values: Mapping[str, Any]) -> E:
+def make_element(kind: type[E], values: Mapping[str, Any]) -> E:
     """Return `kind(**values)`, faster: fields that keep their defaults are not checked again."""
     element = object.__new__(kind)
     attributes = element.__dict__

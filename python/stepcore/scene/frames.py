@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from stepcore.checks import TINY
+from stepcore.checks import TINY_LENGTH
 
 Vec = tuple[float, ...]
 ORIGIN: Vec = (0.0, 0.0, 0.0)
@@ -23,7 +23,7 @@ def cross(a: Sequence[float], b: Sequence[float]) -> Vec:
 def normalised(v: Sequence[float], name: str) -> Vec:
     """Return `v` scaled to length 1; raise ValueError, naming `what`, if `v` is too short."""
     norm = math.hypot(*v)
-    if not TINY < norm < math.inf:
+    if not TINY_LENGTH < norm < math.inf:
         raise ValueError(f"{name} is too short to give a direction")
     return tuple(x / norm for x in v)
 
@@ -66,7 +66,7 @@ def from_z_axis(z: Sequence[float]) -> Vec:
     u = normalised(z, "the z axis")
     axis = (-u[1], u[0], 0.0)
     norm = math.hypot(*axis)
-    if norm < TINY:
+    if norm < TINY_LENGTH:
         axis, norm = (1.0, 0.0, 0.0), 0.0
     else:
         axis = (axis[0] / norm, axis[1] / norm, 0.0)
@@ -133,7 +133,7 @@ def from_to(kind: str, ends: Sequence[float], radius: float) -> tuple[Vec, Vec, 
     first, second = ends[:3], ends[3:]
     axis = [a - b for a, b in zip(first, second, strict=True)]
     length = math.hypot(*axis)
-    if not TINY < length < math.inf:
+    if not TINY_LENGTH < length < math.inf:
         raise ValueError("the two points of fromto are too close")
     half = length / 2
     size = (radius, half, 0.0) if kind in ("capsule", "cylinder") else (radius, radius, half)

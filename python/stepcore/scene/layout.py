@@ -121,7 +121,7 @@ class Layout:
                 start = at + (3 if joint.type == "free" else 0)
                 quat = result[start : start + 4]
                 norm = math.hypot(*quat)
-                if norm < checks.TINY:
+                if norm < checks.TINY_LENGTH:
                     quat = [1.0, 0.0, 0.0, 0.0]
                 elif abs(norm - 1) > 1e-15:
                     quat = [x / norm for x in quat]
@@ -149,7 +149,7 @@ def _depth_first(bodies: list[Body]) -> list[Body]:
     return order
 
 
-def called(scene: Scene, element: object) -> str:
+def label_of(scene: Scene, element: object) -> str:
     """Return the engine's label of an element: "joint 3 of body 'leg'" without a name.
 
     The label of an element that is not yet in the scene has the index that it would get.
@@ -159,8 +159,8 @@ def called(scene: Scene, element: object) -> str:
         layout = Layout(scene)
         if getattr(element, "name", "") or kind not in LISTS or kind in ("mesh", "hfield"):
             return str(element)
-        listed = layout.elements(kind)
-        index = next((k for k, other in enumerate(listed) if other is element), len(listed))
+        elements = layout.elements(kind)
+        index = next((k for k, other in enumerate(elements) if other is element), len(elements))
         body = getattr(element, "body", None)
         whose = f" of {layout.body_called(body)}" if isinstance(body, Body) else ""
         return f"{kind} {index}{whose}"
@@ -169,8 +169,8 @@ def called(scene: Scene, element: object) -> str:
         return str(element)
 
 
-def named(scene: Scene, error: checks.ElementError) -> checks.ElementError:
+def relabelled(scene: Scene, error: checks.ElementError) -> checks.ElementError:
     """Return the error with the element named as the engine names it."""
-    again = checks.ElementError(called(scene, error.owner), error.text)
-    again.owner = error.owner
-    return again
+    renamed = checks.ElementError(label_of(scene, error.owner), error.text)
+    renamed.owner = error.owner
+    return renamed

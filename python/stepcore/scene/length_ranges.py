@@ -27,18 +27,18 @@ if TYPE_CHECKING:
 # Effects that MuJoCo leaves out of the simulation.
 OFF = ("contact", "spring", "damper", "gravity", "frictionloss", "sensor")
 # MuJoCo's lower bound of norms.
-LEAST = 1e-15
+LEAST_NORM = 1e-15
 # A cache of ranges, by a hash of the simulated scene.
 _found: dict[bytes, list[list[float]]] = {}
 
 
-def fill(scene: Scene, data: dict[str, Any]) -> None:
+def fill_ranges(scene: Scene, data: dict[str, Any]) -> None:
     """Write the missing length ranges into the plain data of a scene.
 
     Raises ValueError, naming the actuator, if the simulation does not come to rest.
     """
     rules = scene.lengthrange
-    left = asked(scene)
+    left = missing_ranges(scene)
     if not left:
         return
     limits = {index: _limits(scene.actuators[index]) if rules.uselimit else None for index in left}
@@ -49,7 +49,7 @@ def fill(scene: Scene, data: dict[str, Any]) -> None:
         data["actuators"][index]["lengthrange"] = list(limits[index] or ())
 
 
-def asked(scene: Scene) -> list[int]:
+def missing_ranges(scene: Scene) -> list[int]:
     """Return the indices of the actuators whose range must be found."""
     rules, left = scene.lengthrange, []
     for index, actuator in enumerate(scene.actuators):
@@ -139,10 +139,10 @@ def _extremes(
         length = batch.readout("actuator_length")[world, pulled]
         arms = model.element_force("actuator", ctrl, act, arrays["qpos"], arrays["qvel"])
         gained = np.linalg.solve(batch.readout("mass_matrix"), arms[..., None])[..., 0]
-        force = arms * (way / np.maximum(LEAST, np.linalg.norm(gained, axis=1, keepdims=True)))
+        force = arms * (way / np.maximum(LEAST_NORM, np.linalg.norm(gained, axis=1, keepdims=True)))
         if rules.maxforce > 0:
             size = np.linalg.norm(force, axis=1, keepdims=True)
-            force *= np.minimum(1.0, rules.maxforce / np.maximum(LEAST, size))
+            force *= np.minimum(1.0, rules.maxforce / np.maximum(LEAST_NORM, size))
         arrays["qfrc_applied"][...] = force
         try:
             batch.step(1)

@@ -107,7 +107,7 @@ class Variation:
 
     scene: the scene to copy.
     paths: the paths of the values, as in `Model.with_values`.
-    body_mass: as in `value_paths.changed`.
+    body_mass: as in `value_paths.changed_scene`.
     """
 
     def __init__(self, scene: Scene, paths: Iterable[str], body_mass: Mapping[str, float]) -> None:
@@ -134,7 +134,7 @@ class Variation:
         kinds = {places.get(id(element)) for element, _ in self._initial}
         # Values of elements in other lists, and length ranges found by simulation, need all records
         # to be recomputed.
-        self._all_anew = None in kinds or bool(length_ranges.asked(self.scene))
+        self._all_anew = None in kinds or bool(length_ranges.missing_ranges(self.scene))
         self._places = sorted(place for place in kinds if place is not None)
         self._data: dict[str, Any] | None = None
 
@@ -150,10 +150,10 @@ class Variation:
         self.scene.mass_rules.__dict__.update(self._rules)
         assign(self.scene, values, self._body_mass)
         if checked:
-            check(self._layout)
+            check_scene(self._layout)
         if self._all_anew or self._data is None:
             self._data = plain(self._layout)
-            length_ranges.fill(self.scene, self._data)
+            length_ranges.fill_ranges(self.scene, self._data)
             return self._data
         lists = {kind: list(self._data[kind]) for kind, _ in self._places}
         for kind, index in self._places:
@@ -173,7 +173,7 @@ SIZE_WORDS = {
 }
 
 
-def check(layout: Layout) -> None:
+def check_scene(layout: Layout) -> None:
     """Raise ValueError, naming the element, if fields or elements contradict each other."""
     scene = layout.scene
     world = layout.bodies[0]
@@ -216,11 +216,11 @@ def _check_size(shape: Geom | Site, count: int) -> None:
 
 def _check_geom(layout: Layout, geom: Geom) -> None:
     """Raise unless a geom's mesh and height field are in the scene and fit the geom's type."""
-    listed: tuple[tuple[str, Any, bool, bool], ...] = (
+    assets: tuple[tuple[str, Any, bool, bool], ...] = (
         ("mesh", geom.mesh, geom.type == "mesh", geom.type in ("plane", "hfield")),
         ("hfield", geom.hfield, geom.type == "hfield", geom.type != "hfield"),
     )
-    for field, asset, needed, barred in listed:
+    for field, asset, needed, barred in assets:
         if needed and asset is None:
             raise checks.ElementError(geom, f"a geom of type {geom.type} needs a {field}")
         if asset is None:

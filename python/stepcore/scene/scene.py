@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar, overload
 
 from stepcore import checks, files
 from stepcore.scene import asset_files, frames, length_ranges
-from stepcore.scene.element import belongs, table
+from stepcore.scene.element import belongs, field_rows
 from stepcore.scene.elements import (
     GRAVITY,
     WHOLE,
@@ -32,12 +32,12 @@ from stepcore.scene.elements import (
     Sensor,
     Site,
     Tendon,
-    made,
+    make_element,
 )
 from stepcore.scene.elements.sensor import OBJECTS
-from stepcore.scene.layout import LISTS, Layout, named
+from stepcore.scene.layout import LISTS, Layout, relabelled
 from stepcore.scene.names import Names
-from stepcore.scene.records import check, essence, plain
+from stepcore.scene.records import check_scene, essence, plain
 from stepcore.signatures import takes_settings
 
 if TYPE_CHECKING:
@@ -398,7 +398,7 @@ class Scene(checks.KnownNames):
         if (file is None) == (vertices is None) or (file is not None and faces is not None):
             raise ValueError(f"mesh {checks.quoted(name)}: needs either vertices or a file")
         if file is not None:
-            file = files.path("file", file)
+            file = files.as_path("file", file)
             surface = asset_files.read_mesh(file)
             arrays["vertices"], arrays["faces"] = surface.vertices, surface.faces
             self.notes += asset_files.notes(file, surface)
@@ -427,7 +427,7 @@ class Scene(checks.KnownNames):
             raise ValueError(f"hfield {checks.quoted(name)}: needs either an elevation or a file")
         arrays: dict[str, Any] = {"elevation": elevation}
         if file is not None:
-            file = files.path("file", file)
+            file = files.as_path("file", file)
             arrays = {"elevation": asset_files.read_hfield(file), "file": file}
             name = name or os.path.splitext(os.path.basename(file))[0]
         return self._add(self.hfields, HField, {}, name=name, size=size, **arrays)
@@ -581,7 +581,7 @@ class Scene(checks.KnownNames):
 
     def _resolved(self, kind: type[Element], fields: Mapping[str, Any]) -> dict[str, Any]:
         """Return fields with the elements for the names of references; None is a default."""
-        rows, resolved = table(kind), dict(fields)
+        rows, resolved = field_rows(kind), dict(fields)
         for field, value in fields.items():
             refers = rows[field].type.refers if field in rows else ()
             if refers and value is None and rows[field].default is not dataclasses.MISSING:
@@ -599,7 +599,7 @@ class Scene(checks.KnownNames):
             raise self._named(error) from None
 
     def _named(self, error: checks.ElementError) -> checks.ElementError:
-        return named(self, error)
+        return relabelled(self, error)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Restore a copy, and register the copy as the owner of the copied elements."""
@@ -610,10 +610,10 @@ class Scene(checks.KnownNames):
                     if isinstance(element, Element):
                         belongs(element, self)
 
-    def _add(self, into: list[E], kind: type[E], fields: Mapping[str, Any], **own: Any) -> E:
-        given, own = (self._resolved(kind, part) for part in (fields, own))
+    def _add(self, into: list[E], kind: type[E], fields: Mapping[str, Any], **fixed: Any) -> E:
+        resolved, fixed = (self._resolved(kind, part) for part in (fields, fixed))
         with self._naming():
-            element = _make(kind, given, **own)
+            element = _make(kind, resolved, **fixed)
         return self._append(into, element)
 
     def _append(self, into: list[E], element: E) -> E:
@@ -658,9 +658,9 @@ class Scene(checks.KnownNames):
         joint, a plane on a moving body, a key of the wrong length, a name used twice.
         """
         layout = Layout(self)
-        check(layout)
+        check_scene(layout)
         data = plain(layout)
-        length_ranges.fill(self, data)
+        length_ranges.fill_ranges(self, data)
         return data
 
     def to_mjcf(self) -> str:
@@ -744,9 +744,9 @@ class Scene(checks.KnownNames):
 
     def _repr_html_(self) -> str | None:
         """Return HTML for a notebook, with a picture of the scene if a picture can be drawn."""
-        from stepcore.viewing.notebook import shown
+        from stepcore.viewing.notebook import html_picture
 
-        return shown(self, len(self.geoms), self._begun)
+        return html_picture(self, len(self.geoms), self._begun)
 
 
 def _place(geom: Geom, fromto: Vector, fields: Mapping[str, Any]) -> None:
@@ -760,12 +760,12 @@ def _place(geom: Geom, fromto: Vector, fields: Mapping[str, Any]) -> None:
         raise checks.ElementError(geom, str(error)) from None
 
 
-def _make(kind: type[E], fields: Mapping[str, Any], **own: Any) -> E:
-    rows = table(kind)
+def _make(kind: type[E], fields: Mapping[str, Any], **fixed: Any) -> E:
+    rows = field_rows(kind)
     for field in fields:
         if field not in rows:
             near = checks.nearest(field, rows)
             raise ValueError(f"a {kind.__name__.lower()} has no field {checks.quoted(field)}{near}")
-    if own.keys() & fields.keys():
-        return kind(**own, **fields)  # Raises a TypeError that names the repeated field.
-    return made(kind, {**own, **fields})
+    if fixed.keys() & fields.keys():
+        return kind(**fixed, **fields)  # Raises a TypeError that names the repeated field.
+    return make_element(kind, {**fixed, **fields})

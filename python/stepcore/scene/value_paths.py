@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from stepcore import checks
-from stepcore.scene.element import table
+from stepcore.scene.element import field_rows
 from stepcore.scene.elements import Actuator, Body, Element
 from stepcore.scene.elements.actuator_laws import ALL_LAW_FIELDS
 from stepcore.scene.layout import LISTS, Layout
@@ -24,7 +24,7 @@ def is_path(name: str) -> bool:
     return "/" in name or name in WHOLE
 
 
-def changed(scene: Scene, values: Mapping[str, Any], body_mass: Mapping[str, float]) -> Scene:
+def changed_scene(scene: Scene, values: Mapping[str, Any], body_mass: Mapping[str, float]) -> Scene:
     """Return a copy of `scene` with these values.
 
     values: new values by path.
@@ -37,7 +37,7 @@ def changed(scene: Scene, values: Mapping[str, Any], body_mass: Mapping[str, flo
 
 
 def assign(scene: Scene, values: Mapping[str, Any], body_mass: Mapping[str, float]) -> None:
-    """Assign these values to `scene`; see `changed`."""
+    """Assign these values to `scene`; see `changed_scene`."""
     for path, value in values.items():
         if path in WHOLE:
             setattr(scene, path, value)
@@ -73,7 +73,7 @@ def find(scene: Scene, path: object) -> tuple[Element, str]:
         element: Element = _indexed(scene, kind, name) or getattr(scene, kind)(name)
     except ValueError as error:
         raise ValueError(f"{shown}: {error}") from None
-    rows = table(type(element)).values()
+    rows = field_rows(type(element)).values()
     fields = [row.name for row in rows if row.name not in ("name", "file") and not row.type.refers]
     if field not in fields:
         near, n = checks.nearest(field, fields), "n" * (kind[0] in "aeiou")

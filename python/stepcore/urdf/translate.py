@@ -111,7 +111,7 @@ def validate(root: Node, schema: Spec, refusals: Refusals) -> list[str]:
                 refusals.add(child.error(f"unknown element <{child.tag}> in <{node.tag}>{near}"))
             else:
                 why = "only draws" if child.tag in DRAWS else "says nothing about the motion"
-                ignored.append(child.listed(why))
+                ignored.append(child.ignored_line(why))
         for tag in spec.once:
             same = [child for child in kept if child.tag == tag]
             if len(same) > 1:
@@ -137,7 +137,7 @@ def _drop_attributes(node: Node, spec: Spec) -> list[str]:
     foreign = [name for name in extra if name in far or name in FOREIGN]
     for name in foreign:
         del node.attrs[name]
-    return [node.listed(f"{name} is no attribute of URDF") for name in foreign]
+    return [node.ignored_line(f"{name} is no attribute of URDF") for name in foreign]
 
 
 def file_path(node: Node, directory: str | None, extended: bool) -> str:
@@ -331,8 +331,8 @@ class Robot:
                 raise joint.error("a floating joint needs the root link as its parent")
             body = self._body(self.links[name], joint, equality)
             if name == base:
-                own = name if name not in self.joints else f"{name}_free"
-                body.children.insert(0, _element("freejoint", self.links[name], name=own))
+                joint_name = name if name not in self.joints else f"{name}_free"
+                body.children.insert(0, _element("freejoint", self.links[name], name=joint_name))
             if name == root == "world":
                 # A root link named "world" is the world, which has no mass.
                 parent.children += [child for child in body.children if child.tag == "geom"]
@@ -516,9 +516,9 @@ def _written(numbers: Iterable[float]) -> str:
     return " ".join(map(repr, numbers))
 
 
-def _element(tag: str, of: Node, **attrs: str) -> Node:
-    """Return an MJCF element with the file and line of the URDF element `of`."""
-    return Node(tag, attrs, of.file, of.line)
+def _element(tag: str, source: Node, **attrs: str) -> Node:
+    """Return an MJCF element with the file and line of the URDF element `source`."""
+    return Node(tag, attrs, source.file, source.line)
 
 
 def _turn(node: Node) -> Vec:

@@ -17,7 +17,7 @@ from stepcore.viewing.frames import Instant
 # The angle of view from top to bottom [degrees].
 ANGLE = 40.0
 # The largest picture, in points.
-LARGEST = 8192
+LARGEST_SIDE = 8192
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ def camera_of(
     return Camera(middle, np.deg2rad(turn), np.deg2rad(lift), far * drawing.extent)
 
 
-def following(drawing: Drawing, first: Instant) -> Callable[[Instant], Camera]:
+def following_camera(drawing: Drawing, first: Instant) -> Callable[[Instant], Camera]:
     """Return the camera of each instant; it follows the moving bodies at a constant distance."""
     camera, begin = camera_of(drawing, first), drawing.middle(first.xpos)
     return lambda instant: replace(
@@ -84,7 +84,7 @@ def ropes(drawing: Drawing, instant: Instant) -> list[Mark]:
     ]
 
 
-def loads(drawing: Drawing, instant: Instant, newtons: float) -> list[Mark]:
+def force_marks(drawing: Drawing, instant: Instant, newtons: float) -> list[Mark]:
     """Return the marks of the contacts of an instant and of their forces.
 
     newtons: the force whose arrow has the length `ARROW` × extent.

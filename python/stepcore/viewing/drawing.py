@@ -55,9 +55,9 @@ class Shape:
         """
         if self.squares is None:
             return self.rgba, (*(0.86 * c for c in self.rgba[:3]), self.rgba[3])
-        one, other = (np.array(rgba) for rgba in self.squares)
-        half = np.clip((one - other) / 2, -0.07, 0.07)
-        mean = (one + other) / 2
+        first, other = (np.array(rgba) for rgba in self.squares)
+        half = np.clip((first - other) / 2, -0.07, 0.07)
+        mean = (first + other) / 2
         return tuple((mean + half).tolist()), tuple((mean - half).tolist())
 
     def triangles(self, reach: float) -> surfaces.Surface:

@@ -103,25 +103,25 @@ def replayed(snapshots: Snapshots, label: str = "") -> Replayed:
     return Replayed(drawing, instants, label)
 
 
-def distance(one: Replayed, other: Replayed) -> NDArray[np.float64]:
+def rms_distance(run: Replayed, other: Replayed) -> NDArray[np.float64]:
     """Return the RMS distance of the moving bodies of two runs, at the instants of the first [m].
 
     The distance is NaN before the other run begins and after it ends.
 
     Raises ValueError if the two runs have different bodies.
     """
-    if one.drawing.bodies != other.drawing.bodies:
-        counts = f"{len(one.drawing.bodies)} and {len(other.drawing.bodies)}"
+    if run.drawing.bodies != other.drawing.bodies:
+        counts = f"{len(run.drawing.bodies)} and {len(other.drawing.bodies)}"
         raise ValueError(f"runs to compare must be of the same bodies; these have {counts}")
-    moving, time = one.drawing.moving, other.time
+    moving, time = run.drawing.moving, other.time
     if not moving.any():
-        return np.zeros(len(one.instants))
+        return np.zeros(len(run.instants))
     # Bodies move along straight lines between two instants.
     there = other.xpos[:, moving].reshape(len(time), -1)
-    between = np.stack([np.interp(one.time, time, entry) for entry in there.T], axis=1)
-    gap = one.xpos[:, moving] - between.reshape(len(one.time), -1, 3)
+    between = np.stack([np.interp(run.time, time, entry) for entry in there.T], axis=1)
+    gap = run.xpos[:, moving] - between.reshape(len(run.time), -1, 3)
     apart = np.sqrt(np.mean(np.sum(gap**2, axis=-1), axis=-1))
     # The last instants of two runs of one duration may be a part of an interval apart.
-    slack = max(np.max(np.diff(each), initial=0.0) for each in (one.time, time)) / 2
-    there_too = (one.time >= time[0] - slack) & (one.time <= time[-1] + slack)
+    slack = max(np.max(np.diff(each), initial=0.0) for each in (run.time, time)) / 2
+    there_too = (run.time >= time[0] - slack) & (run.time <= time[-1] + slack)
     return np.where(there_too, apart, np.nan)

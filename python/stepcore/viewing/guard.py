@@ -35,10 +35,10 @@ class Guard:
 
     def lets_in(self, path: str, headers: Any) -> bool:
         """Return whether a request for this path may pass."""
-        given = path.partition("?")[0].split("/")[1:2]
-        known = bool(given) and hmac.compare_digest(given[0].encode(), self.token.encode())
+        tokens = path.partition("?")[0].split("/")[1:2]
+        authorized = bool(tokens) and hmac.compare_digest(tokens[0].encode(), self.token.encode())
         hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
-        if not known or len(hosts) != 1 or not self._is_own(hosts[0]):
+        if not authorized or len(hosts) != 1 or not self._is_own(hosts[0]):
             return False
         if not any(value.lower() == "websocket" for value in headers.get_all("Upgrade")):
             return True
@@ -70,10 +70,10 @@ class Guard:
         real = infra.websockets
         serving = real.asyncio.server
 
-        def serve(*given: Any, **options: Any) -> Any:
+        def serve(*arguments: Any, **options: Any) -> Any:
             self.stands = True
             answer = options.pop("process_request")
-            return serving.serve(*given, process_request=self.asked_first(answer), **options)
+            return serving.serve(*arguments, process_request=self.asked_first(answer), **options)
 
         server = SimpleNamespace(**{**vars(serving), "serve": serve})
         asyncio = SimpleNamespace(**{**vars(real.asyncio), "server": server})

@@ -16,7 +16,7 @@ from typing import Any
 
 from stepcore import checks
 from stepcore.needs import need
-from stepcore.viewing.frames import Replayed, distance
+from stepcore.viewing.frames import Replayed, rms_distance
 from stepcore.viewing.guard import Guard, is_loopback
 from stepcore.viewing.panel import Panel, RunPanel, SimPanel
 
@@ -46,17 +46,17 @@ class View:
     @property
     def outer_url(self) -> str:
         """The address for other machines, if `host` lets them in; otherwise ""."""
-        own = self._host
-        if own in EVERYWHERE:
-            own = socket.gethostname()
+        host = self._host
+        if host in EVERYWHERE:
+            host = socket.gethostname()
             with (
                 contextlib.suppress(OSError),
-                socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked,
+                socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe,
             ):
                 # Nothing is sent: the system only returns the address from which it would send.
-                asked.connect(("192.0.2.1", 9))
-                own = str(asked.getsockname()[0])
-        return "" if is_loopback(own) else self._url(own)
+                probe.connect(("192.0.2.1", 9))
+                host = str(probe.getsockname()[0])
+        return "" if is_loopback(host) else self._url(host)
 
     def _url(self, host: str) -> str:
         name = f"[{host}]" if ":" in host else host
@@ -143,27 +143,27 @@ def view(
     >>> opened.close()  # doctest: +SKIP
     """
     if isinstance(runs, (list, tuple)):
-        seen = several(runs, labels)
-        return opened(view_runs(seen, host, port), wait)
+        seen = labelled_runs(runs, labels)
+        return announced(view_runs(seen, host, port), wait)
     if not hasattr(runs, "view"):
-        what = "a Sim, a Scene, a Trajectory or a list of trajectories"
-        raise ValueError(f"runs = {checks.shown(runs)}: must be {what}")
+        kinds = "a Sim, a Scene, a Trajectory or a list of trajectories"
+        raise ValueError(f"runs = {checks.shown(runs)}: must be {kinds}")
     shown: View = runs.view(host=host, port=port, wait=wait)
     return shown
 
 
-def several(runs: Sequence[Any], labels: Sequence[str] = ()) -> list[Replayed]:
+def labelled_runs(runs: Sequence[Any], labels: Sequence[str] = ()) -> list[Replayed]:
     """Return trajectories for a common drawing, with their labels."""
     if not runs or not all(hasattr(run, "_replayed") for run in runs):
         raise ValueError(f"runs = {checks.shown(runs)}: must be a list of trajectories")
     names = [*labels, *(f"run {k + 1}" for k in range(len(labels), len(runs)))]
     seen = [run._replayed(name) for run, name in zip(runs, names, strict=False)]
     for other in seen[1:]:
-        distance(seen[0], other)
+        rms_distance(seen[0], other)
     return seen
 
 
-def opened(view: View, wait: bool | None) -> View:
+def announced(view: View, wait: bool | None) -> View:
     """Print the address of the view and, outside of a prompt, wait until it ends."""
     prompt = hasattr(sys, "ps1") or "ipykernel" in sys.modules
     waits = wait or (wait is None and not prompt)

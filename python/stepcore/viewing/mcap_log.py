@@ -20,7 +20,7 @@ from stepcore.needs import need
 from stepcore.report.outputs import MARK
 from stepcore.report.table import jsonable
 from stepcore.scene import frames
-from stepcore.viewing.camera import Mark, loads
+from stepcore.viewing.camera import Mark, force_marks
 from stepcore.viewing.drawing import Drawing, Shape
 from stepcore.viewing.frames import Replayed
 
@@ -100,14 +100,14 @@ STATE = _object(
 )
 
 
-def write(
+def write_mcap(
     run: Replayed,
     time: NDArray[Any],
     data: Mapping[str, NDArray[Any]],
     path: str | os.PathLike[str],
 ) -> None:
     """Write the log of a run; time, data: the recorded arrays. See `Trajectory.save_mcap`."""
-    target = files.path("path", path)
+    target = files.as_path("path", path)
     writer_of = need("mcap.writer", "Trajectory.save_mcap", "mcap").Writer
     recorded = {
         name: functools.reduce(lambda schema, _: _list(schema), values.shape[1:], NUMBER)
@@ -154,7 +154,7 @@ def _seen(run: Replayed) -> Iterator[Message]:
         at = _nanoseconds(instant.time)
         poses = zip(names[1:], instant.xpos[1:], instant.xquat[1:], strict=True)
         yield "/tf", at, {"transforms": [_transform(at, *pose) for pose in poses]}
-        marks = loads(run.drawing, instant, newtons)
+        marks = force_marks(run.drawing, instant, newtons)
         arrows = {"arrows": [arrow(mark) for mark in marks if mark.kind == "arrow"]}
         forces = [_entity(at, WORLD, "contact forces", arrows)]
         yield "/contacts", at, {"deletions": [], "entities": forces}
@@ -206,13 +206,13 @@ def _shapes(drawing: Drawing, body: int) -> dict[str, list[Json]]:
     lists: dict[str, list[Json]] = {}
     for shape in drawing.shapes:
         if shape.body == body and shape.shown:
-            kind, own = _primitive(shape, drawing.reach)
+            kind, primitive = _primitive(shape, drawing.reach)
             pose = {
                 "position": _named("xyz", shape.pos),
                 "orientation": _named("wxyz", shape.quat),
             }
             color = _named("rgba", shape.rgba)
-            lists.setdefault(kind, []).append({"pose": pose, "color": color, **own})
+            lists.setdefault(kind, []).append({"pose": pose, "color": color, **primitive})
     return lists
 
 

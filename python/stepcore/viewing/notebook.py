@@ -11,16 +11,16 @@ from typing import Any
 from stepcore.needs import need
 
 # The largest number of geoms that is drawn without a noticeable delay.
-MOST = 1000
+MAX_GEOMS = 1000
 
 
-def shown(value: Any, geoms: int, world: Callable[[], Any]) -> str | None:
+def html_picture(value: Any, geoms: int, world: Callable[[], Any]) -> str | None:
     """Return `repr(value)` over a picture of the Sim that `world` makes, as HTML.
 
-    Returns None, so that only the words are shown, for more than `MOST` geoms, for a scene that
+    Returns None, so that only the words are shown, for over `MAX_GEOMS` geoms, for a scene that
     does not compile, and if no renderer works here.
     """
-    if geoms > MOST:
+    if geoms > MAX_GEOMS:
         return None
     from stepcore.viewing.picture import picture
 

@@ -29,10 +29,10 @@ from stepcore.needs import need
 from stepcore.report.outputs import MARK
 from stepcore.report.plot.style import TINTS, VIEW, rgb
 from stepcore.viewing.drawing import ARROW, Drawing
-from stepcore.viewing.frames import Replayed, distance
+from stepcore.viewing.frames import Replayed, rms_distance
 
 
-def page(runs: Sequence[Replayed], title: str = "") -> str:
+def replay_page(runs: Sequence[Replayed], title: str = "") -> str:
     """Return the page that replays these runs over each other."""
     first = runs[0].drawing
     title = title or first.name or "stepcore"
@@ -49,7 +49,7 @@ def page(runs: Sequence[Replayed], title: str = "") -> str:
         "notes": [f"Not drawn: {note}." for note in first.notes],
     }
     if len(runs) > 1:
-        data["distance"] = [_packed(distance(runs[0], run)) for run in runs[1:]]
+        data["distance"] = [_packed(rms_distance(runs[0], run)) for run in runs[1:]]
     coded = base64.b64encode(zlib.compress(json.dumps(data).encode(), 9)).decode()
     parts = {
         "MARK": MARK,
@@ -62,12 +62,12 @@ def page(runs: Sequence[Replayed], title: str = "") -> str:
         "SCRIPT": _own("page.js"),
     }
     # In one pass, so that the inserted texts are not searched.
-    return re.sub(r"\$([A-Z]+)\$", lambda found: parts[found[1]], _own("page.html"))
+    return re.sub(r"\$([A-Z]+)\$", lambda match: parts[match[1]], _own("page.html"))
 
 
 def save_page(runs: Sequence[Replayed], path: str | os.PathLike[str]) -> None:
     """Write the page to a file."""
-    Path(files.path("path", path)).write_text(page(runs), encoding="utf-8")
+    Path(files.as_path("path", path)).write_text(replay_page(runs), encoding="utf-8")
 
 
 def framed(text: str, height: int = 480) -> str:

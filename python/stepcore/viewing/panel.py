@@ -18,16 +18,16 @@ from stepcore.needs import need
 from stepcore.report.plot.style import TINTS, VIEW
 from stepcore.report.units import metres
 from stepcore.viewing.drawing import ARROW, drawing_of
-from stepcore.viewing.frames import Instant, Replayed, distance, instant_of, poses_of
+from stepcore.viewing.frames import Instant, Replayed, instant_of, poses_of, rms_distance
 from stepcore.viewing.stage import Stage
 
 SPEEDS = {"1/20 ×": 0.05, "1/10 ×": 0.1, "1/4 ×": 0.25, "1/2 ×": 0.5, "1 ×": 1.0, "2 ×": 2.0}
 # The curves of energy, and the prefix of their names.
 ENERGIES = {"kinetic": "", "potential": "Δ ", "total": "Δ "}
 # The states that a live view can go back to, sixty a second of motion.
-KEPT = 3000
+KEPT_STATES = 3000
 # The longest time for which the page waits for steps or for new curves [s].
-PAUSE = 0.2
+LONGEST_WAIT = 0.2
 
 
 def _plot(
@@ -92,7 +92,7 @@ class Panel(ABC):
 
         more: further plots, each with its values, (curves, times).
         """
-        if self.playing and monotonic() - self.sent < PAUSE:
+        if self.playing and monotonic() - self.sent < LONGEST_WAIT:
             return
         self.sent = monotonic()
         time = np.array([instant.time for instant in instants])
@@ -262,7 +262,7 @@ class SimPanel(Panel):
         for _ in range(count):
             self.step()
             # The view still responds if the scene runs slower than real time.
-            if self.failed or monotonic() - begin > PAUSE:
+            if self.failed or monotonic() - begin > LONGEST_WAIT:
                 self.owed = 0.0
                 return
 
@@ -284,7 +284,7 @@ class SimPanel(Panel):
         if self.sim.time - self.times[-1] >= 1 / 60 - 1e-9:
             self.states.append(self.sim.state())
             self.times.append(self.sim.time)
-            del self.states[:-KEPT], self.times[:-KEPT]
+            del self.states[:-KEPT_STATES], self.times[:-KEPT_STATES]
 
     def draw(self) -> None:
         try:
@@ -303,7 +303,7 @@ class SimPanel(Panel):
         if at == len(self.past) or self.past[at].time > now:
             self.past.insert(at, self.instant)
         self._draw_curves(self.past[: at + 1])
-        del self.past[:-KEPT]
+        del self.past[:-KEPT_STATES]
         if self.playing:
             self.back.value = 1.0
 
@@ -321,7 +321,7 @@ class RunPanel(Panel):
             style = "margin:0 0.65em;font-size:0.8em"
             self.legend = server.gui.add_html(f'<div style="{style}">{"<br>".join(lines)}</div>')
         super().__init__(server, Stage(server, [run.drawing for run in runs]))
-        self.gaps = [1000 * distance(runs[0], run) for run in runs[1:]]
+        self.gaps = [1000 * rms_distance(runs[0], run) for run in runs[1:]]
         self.times = [run.time for run in runs]
         self.begin, self.end = float(self.times[0][0]), max(float(t[-1]) for t in self.times)
         self.now = self.begin

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from stepcore import checks, files
 from stepcore.needs import need
-from stepcore.viewing.camera import LARGEST, camera_of, following, loads, ropes
+from stepcore.viewing.camera import LARGEST_SIDE, camera_of, following_camera, force_marks, ropes
 from stepcore.viewing.drawing import drawing_of
 from stepcore.viewing.frames import Replayed, instant_of
 from stepcore.viewing.renderers import Renderer
@@ -52,17 +52,17 @@ def picture(
     if path is not None:
         image = need("PIL.Image", "writing a picture", "video")
         _check_ending("picture", path, image.registered_extensions(), ".png, .jpg or alike")
-    own = type(sim)(sim.model)
-    own.restore(sim.state())
-    instant, drawing = instant_of(own), drawing_of(own.model, own)
+    copy = type(sim)(sim.model)
+    copy.restore(sim.state())
+    instant, drawing = instant_of(copy), drawing_of(copy.model, copy)
     camera = camera_of(drawing, instant, turn, lift, far)
-    made = Renderer(drawing, width, height)
+    renderer = Renderer(drawing, width, height)
     try:
         newtons = drawing.weight or instant.strongest
-        marks = ropes(drawing, instant) + (loads(drawing, instant, newtons) if forces else [])
-        drawn: NDArray[np.uint8] = made.draw(instant, camera, marks)
+        marks = ropes(drawing, instant) + (force_marks(drawing, instant, newtons) if forces else [])
+        drawn: NDArray[np.uint8] = renderer.draw(instant, camera, marks)
     finally:
-        made.close()
+        renderer.close()
     if path is not None:
         image.fromarray(drawn).save(path)
     return drawn
@@ -81,11 +81,11 @@ def save_video(
     _check_ending("save_video", path, ENDINGS, " or ".join(ENDINGS))
     ffmpeg = need("imageio_ffmpeg", "a video", "video")
     for field, value in zip(("width", "height"), size, strict=True):
-        if checks.whole(2, LARGEST)("save_video", field, value) % 2:
+        if checks.whole(2, LARGEST_SIDE)("save_video", field, value) % 2:
             raise checks.refuse("save_video", field, value, "an even number")
     drawing, time = run.drawing, run.time
-    made = Renderer(drawing, *size)
-    camera = following(drawing, run.instants[0])
+    renderer = Renderer(drawing, *size)
+    camera = following_camera(drawing, run.instants[0])
     newtons = drawing.weight or run.strongest
     count = max(1, round((time[-1] - time[0]) / speed * fps) + 1)
     writer = ffmpeg.write_frames(os.fspath(path), size, fps=fps, macro_block_size=2)
@@ -94,17 +94,17 @@ def save_video(
         for k in range(count):
             now = time[0] + k * speed / fps
             instant = run.instants[int(np.argmin(np.abs(time - now)))]
-            marks = ropes(drawing, instant) + loads(drawing, instant, newtons)
-            drawn = made.draw(instant, camera(instant), marks)
+            marks = ropes(drawing, instant) + force_marks(drawing, instant, newtons)
+            drawn = renderer.draw(instant, camera(instant), marks)
             writer.send(np.ascontiguousarray(drawn))
     finally:
         writer.close()
-        made.close()
+        renderer.close()
 
 
 def _check_ending(
-    owner: str, path: str | os.PathLike[str], known: Collection[str], such: str
+    owner: str, path: str | os.PathLike[str], endings: Collection[str], such: str
 ) -> None:
     """Refuse a file that cannot be written, before seconds of drawing."""
-    if os.path.splitext(files.path("path", path))[1].lower() not in known:
+    if os.path.splitext(files.as_path("path", path))[1].lower() not in endings:
         raise checks.refuse(owner, "path", path, f"a name that ends in {such}")

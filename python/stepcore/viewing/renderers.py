@@ -13,12 +13,10 @@ from numpy.typing import NDArray
 from stepcore import checks
 from stepcore.needs import need
 from stepcore.report.plot.style import SKY, rgb
-from stepcore.viewing.camera import ANGLE, LARGEST, Camera, Mark
+from stepcore.viewing.camera import ANGLE, LARGEST_SIDE, Camera, Mark
 from stepcore.viewing.drawing import Drawing, Shape
 from stepcore.viewing.frames import Instant
 
-# The direction in which the sun of a picture shines.
-SUN = (0.3, 0.4, -1.0)
 ADVICE = (
     "On Debian and Ubuntu `apt-get install libegl1 libgl1-mesa-dri` brings a renderer that needs "
     "no graphics card; a page (`save_html`) needs none of this"
@@ -37,7 +35,7 @@ class Renderer:
 
     def __init__(self, drawing: Drawing, width: int, height: int) -> None:
         for field, value in (("width", width), ("height", height)):
-            checks.whole(2, LARGEST)("picture", field, value)
+            checks.whole(2, LARGEST_SIDE)("picture", field, value)
         mujoco = need("mujoco", "MuJoCo's renderer", "video")
         self.mujoco, self.drawing = mujoco, drawing
         self.model = self._model(width, height)
@@ -75,7 +73,7 @@ class Renderer:
         ]
         spec.worldbody.add_light(
             type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-            dir=SUN,
+            dir=(0.3, 0.4, -1.0),
             diffuse=[0.4] * 3,
             castshadow=False,
         )
@@ -87,18 +85,18 @@ class Renderer:
     def _add(self, spec: Any, body: Any, shape: Shape, k: int) -> None:
         mujoco = self.mujoco
         kind = "mesh" if shape.surface is not None else shape.kind
-        own: dict[str, Any] = {"size": [*shape.size, 0, 0, 0][:3], "rgba": shape.rgba}
+        fields: dict[str, Any] = {"size": [*shape.size, 0, 0, 0][:3], "rgba": shape.rgba}
         if shape.surface is not None:
             vertices, faces = shape.surface
             mesh = spec.add_mesh(name=f"mesh{k}")
             mesh.uservert = np.asarray(vertices, float).ravel()
             mesh.userface = np.asarray(faces, np.int32).ravel()
             mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-            own = {"meshname": mesh.name, "rgba": shape.rgba}
+            fields = {"meshname": mesh.name, "rgba": shape.rgba}
         if shape.kind == "plane":
             # The third is the spacing of its grid, which MuJoCo wants above 0.
-            own["size"][2] = own["size"][2] or 1.0
-            own |= {"rgba": [1, 1, 1, 1], "material": self._squares(spec, shape, k)}
+            fields["size"][2] = fields["size"][2] or 1.0
+            fields |= {"rgba": [1, 1, 1, 1], "material": self._squares(spec, shape, k)}
         body.add_geom(
             type=getattr(mujoco.mjtGeom, f"mjGEOM_{kind.upper()}"),
             pos=shape.pos,
@@ -106,18 +104,18 @@ class Renderer:
             contype=0,
             conaffinity=0,
             group=0,
-            **own,
+            **fields,
         )
 
     def _squares(self, spec: Any, shape: Shape, k: int) -> str:
         """Add a checker material, which makes motion over a plane visible."""
         mujoco = self.mujoco
-        one, other = (rgba[:3] for rgba in shape.checks)
+        first, other = (rgba[:3] for rgba in shape.checks)
         texture = spec.add_texture(
             name=f"squares{k}",
             type=mujoco.mjtTexture.mjTEXTURE_2D,
             builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
-            rgb1=one,
+            rgb1=first,
             rgb2=other,
             width=256,
             height=256,
@@ -132,11 +130,11 @@ class Renderer:
         mujoco = self.mujoco
         self.data.mocap_pos[:], self.data.mocap_quat[:] = instant.xpos, instant.xquat
         mujoco.mj_forward(self.model, self.data)
-        own = mujoco.MjvCamera()
-        own.lookat, own.distance = camera.target, camera.far
-        own.azimuth = np.rad2deg(camera.turn) + 180.0
-        own.elevation = -np.rad2deg(camera.lift)
-        self.renderer.update_scene(self.data, own)
+        view = mujoco.MjvCamera()
+        view.lookat, view.distance = camera.target, camera.far
+        view.azimuth = np.rad2deg(camera.turn) + 180.0
+        view.elevation = -np.rad2deg(camera.lift)
+        self.renderer.update_scene(self.data, view)
         room = self.renderer.scene.maxgeom - self.renderer.scene.ngeom
         for mark in marks[:room]:
             self._mark(mark)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepcore.report.plot.style import TINTS, VIEW, rgb
-from stepcore.viewing.camera import loads
+from stepcore.viewing.camera import force_marks
 from stepcore.viewing.drawing import Drawing, Shape
 from stepcore.viewing.frames import Instant
 
@@ -142,7 +142,7 @@ class Stage:
     def _loads(self, number: int, instant: Instant) -> None:
         """Draw the contacts of an instant as points, and their forces as arrows."""
         self.newtons = self.newtons or instant.strongest
-        marks = loads(self.drawings[0], instant, self.newtons)
+        marks = force_marks(self.drawings[0], instant, self.newtons)
         balls = [mark for mark in marks if mark.kind == "ball" and self.contacts]
         arrows = [mark for mark in marks if mark.kind == "arrow" and self.forces]
         scene, name = self.server.scene, f"{ROOT}/run{number}"

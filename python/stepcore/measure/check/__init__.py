@@ -24,7 +24,7 @@ from stepcore.engine.model import Model
 from stepcore.engine.run_settings import balanced
 from stepcore.experiment.arguments import MeasurementFields, Setup, Source, measurement, set_up
 from stepcore.experiment.control_table import control_table
-from stepcore.experiment.horizon import STEPS, Horizon, horizon_of
+from stepcore.experiment.horizon import PILOT_STEPS, Horizon, horizon_of
 from stepcore.experiment.motion import Motion, MotionFields
 from stepcore.experiment.motion_words import held_motion_in_words, motion_in_words
 from stepcore.experiment.schedule import HORIZON, SAMPLES, Schedule, home, scheduled
@@ -296,7 +296,7 @@ def check(
     read = [*described(scene), *plausibility(scene)]
     deadline.so_far(_first(read, "the file alone"))
     dt = compiled.settings.dt
-    horizon = motion.horizon or max(dt, min(HORIZON, STEPS * dt))
+    horizon = motion.horizon or max(dt, min(HORIZON, PILOT_STEPS * dt))
     holds = _held(compiled, motion)
     far, failure, seen, judged = Horizon(horizon), list[Finding](), list[Finding](), motion
     schedule = None
@@ -421,7 +421,7 @@ def _examined(model: Model, motion: Motion, schedule: Schedule, ran: bool) -> li
 
 def _schedule(model: Model, motion: Motion, horizon: float) -> Schedule:
     dt = model.settings.dt
-    period = motion.period(dt) or dt * max(1, min(round(horizon / (2 * SAMPLES) / dt), STEPS))
+    period = motion.period(dt) or dt * max(1, min(round(horizon / (2 * SAMPLES) / dt), PILOT_STEPS))
     return scheduled(motion, model, min(period, max(horizon, dt)), starts=1, horizon=horizon)
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from stepcore.engine.actuator import Actuator, actuators, loads
+from stepcore.engine.actuator import Actuator, actuators, hold_load
 from stepcore.engine.arrays import Floats
 from stepcore.engine.coordinates import Coordinates
 from stepcore.engine.element import Element
@@ -20,7 +20,7 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
 from stepcore.experiment.change import Change
-from stepcore.experiment.horizon import LONGEST, STEPS
+from stepcore.experiment.horizon import LONGEST_RUN, PILOT_STEPS
 from stepcore.experiment.proposal import Proposal
 from stepcore.experiment.schedule import HORIZON
 from stepcore.experiment.sizes import Sizes
@@ -441,7 +441,7 @@ def _overpowered(scene: Described) -> Iterator[Finding]:
         qpos, ctrl = np.array(scene.start.qpos), np.zeros((1, 1, other.nu))
         # A control without a range exceeds any force range.
         qpos[of.qposadr], ctrl[0, 0, k] = end, np.clip(control, -1e6, 1e6)
-        steps = max(1, min(round(HORIZON / other.settings.dt), STEPS))
+        steps = max(1, min(round(HORIZON / other.settings.dt), PILOT_STEPS))
         return followed(other, dataclasses.replace(scene.start, qpos=qpos), steps, ctrl=ctrl)
 
     proposals = dataclasses.replace(limit_proposals(model, of.joint, beyond[k]), again=again)
@@ -509,7 +509,7 @@ def _balance(scene: Described) -> Iterator[Finding]:
         least, most = np.minimum(least, each), np.maximum(most, each)
     sim.ctrl = scene.ctrl
     sim.forward()
-    need, carried = loads(sim), np.array(sim.constraint_force) != 0
+    need, carried = hold_load(sim), np.array(sim.constraint_force) != 0
     up, free = -np.asarray(model.scene.gravity, float), free_bodies(model)
     for joint, kind in enumerate(model.jnt_type):
         dof, body = int(model.jnt_dofadr[joint]), int(model.jnt_body[joint])
@@ -608,7 +608,7 @@ def _damped(scene: Described, joint: int, servos: list[Actuator]) -> Proposals:
 
     def again(other: Model) -> Recording:
         """Hold the controls of the start until the joint should rest."""
-        steps = min(round(LONGEST / other.settings.dt), STEPS)
+        steps = min(round(LONGEST_RUN / other.settings.dt), PILOT_STEPS)
         return followed(other, scene.start, steps, ctrl=scene.ctrl[None, None])
 
     def turns(run: Recording) -> float:

@@ -12,7 +12,7 @@ import numpy as np
 
 from stepcore import checks
 from stepcore.engine.model import Model
-from stepcore.engine.norm import Matter, Tracks, apart, rms
+from stepcore.engine.norm import Matter, Tracks, distances, rms
 from stepcore.experiment.arguments import MeasurementFields, Setup, Source, measurement, set_up
 from stepcore.experiment.change import Change, Servo
 from stepcore.experiment.choose import greedy
@@ -40,8 +40,8 @@ from stepcore.scene.layout import DOFS, QPOS
 
 __all__ = ["Attribution", "Comparison", "Difference", "DifferenceEffect", "compare"]
 
-# The distance of two runs that differ by rounding alone, as a share of the scene's size. gymnasium's
-# half_cheetah in stepcore and in MuJoCo is less than 1e-12 m apart over 1 s.
+# The distance of two runs that differ by rounding alone, as a share of the scene's size. For
+# gymnasium's half_cheetah, stepcore and MuJoCo are less than 1e-12 m apart over 1 s.
 SAME = 1e-9
 
 
@@ -219,7 +219,7 @@ class _Comparing:
         result, limit = self.comparison, self._equal(self.comparison.distance)
         if not 0 < limit < math.inf:
             return
-        far = apart(a, b, self.study.engine.matter)
+        far = distances(a, b, self.study.engine.matter)
         worst = int(np.argmax(rms(far, self.scored)))
         over = np.flatnonzero(np.sqrt(np.mean(far[worst] ** 2, axis=1)) > limit)
         if not len(over):
@@ -240,7 +240,7 @@ class _Comparing:
         """Return the distance of two motions in the worst start [m]; inf if one fails."""
         if a.failure or b.failure:
             return math.inf
-        return float(rms(apart(a, b, self.study.engine.matter), self.scored).max(initial=0.0))
+        return float(rms(distances(a, b, self.study.engine.matter), self.scored).max(initial=0.0))
 
     def _converge(self) -> None:
         """Measure the integration errors, and the distance of the converged motions."""

@@ -15,7 +15,7 @@ from stepcore import checks, deadline
 from stepcore.engine.model import Model
 from stepcore.experiment.change import Change
 from stepcore.experiment.engines import Stepcore
-from stepcore.scene.element import table
+from stepcore.scene.element import field_rows
 from stepcore.scene.elements import Actuator, Element
 from stepcore.scene.elements.actuator_laws import ALL_LAW_FIELDS
 from stepcore.scene.layout import LISTS, Layout
@@ -229,7 +229,7 @@ class _Search:
         path, law = self.names[0].path(a), isinstance(a, Actuator)
         if law:
             yield from self._law(path, a, b)
-        for row in table(type(a)).values():
+        for row in field_rows(type(a)).values():
             name = row.name
             if name in SKIPPED or (law and name in LAW):
                 continue

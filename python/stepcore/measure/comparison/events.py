@@ -92,7 +92,7 @@ def _beginnings(states: States) -> dict[str, list[float]]:
 
 
 def _run_of_stepcore(engine: Engine, schedule: Schedule, start: int) -> States:
-    model = schedule.on(engine.model)
+    model = schedule.driven_model(engine.model)
     sim = unwatched(Sim(model))
     schedule.starts[start].put(sim)
     names = _Named(model)
@@ -108,7 +108,7 @@ def _run_of_stepcore(engine: Engine, schedule: Schedule, start: int) -> States:
 
 
 def _run_of_mujoco(engine: Any, schedule: Schedule, start: int) -> States:
-    names = _Named(schedule.on(engine.model))
+    names = _Named(schedule.driven_model(engine.model))
     with engine.world(schedule.change) as world:
         world.begin(schedule.starts[start])
         model, data = world.model, world.data

@@ -35,7 +35,7 @@ from stepcore.measure.diagnosis.naming import (
     path_of,
     scaled,
 )
-from stepcore.report.units import rounded, seconds, unit_of
+from stepcore.report.units import kind_unit, rounded, seconds
 from stepcore.scene.layout import Layout
 
 # The stability margin of every change: the largest stable dt over the wanted one.
@@ -204,7 +204,7 @@ class Making:
             return {knob.path: (new, one)}
         joint = self._joint(element)
         if joint is not None:
-            unit = unit_of(name, Layout(self.model.scene).joints[joint].type in ("hinge", "ball"))
+            unit = kind_unit(name, Layout(self.model.scene).joints[joint].type in ("hinge", "ball"))
         if knob.path in made:
             # kp and kv are in one row.
             row = list(made[knob.path][0])
@@ -245,7 +245,7 @@ class Making:
             new = rounded(old + added, up=True)
             least = max(damped, FROM_NOTHING)
             size = math.log1p(x / least) if what == DAMPING else math.log1p(x)
-            unit = unit_of(name, joint.type in ("hinge", "ball"))
+            unit = kind_unit(name, joint.type in ("hinge", "ball"))
             owner = Element.of(self.model, "joint", j)
             made[f"joint/#{j}/{name}"] = new, NewValue(owner, name, (old,), (new,), unit, size)
         return made

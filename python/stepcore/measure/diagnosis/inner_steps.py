@@ -98,7 +98,7 @@ def inner_steps(model: Model, schedule: Schedule) -> InnerSteps:
     model: a model with adaptive steps. schedule: its controls are held for whole steps.
     """
     dt, failure = model.settings.dt, ""
-    sim = unwatched(Sim(schedule.on(model)))
+    sim = unwatched(Sim(schedule.driven_model(model)))
     schedule.starts[0].put(sim)
     rows, hold = schedule.rows([0], dt)
     drive = schedule.function() if rows is None else rows[0]

@@ -17,7 +17,7 @@ from stepcore.engine.element import (
     ROWS,
     Element,
     Elements,
-    listed,
+    name_list,
 )
 from stepcore.experiment.judge import Outcome, Runaway
 from stepcore.experiment.motion import Motion
@@ -459,7 +459,7 @@ class Diagnosis(Result):
         soft = [row for row in self.rows if math.isfinite(row.softened)]
         if soft:
             least = min(row.softened for row in soft)
-            names = listed([row.name for row in soft if row.softened == least])
+            names = name_list([row.name for row in soft if row.softened == least])
             yield (
                 f"above dt {seconds(max(least, limit.shortest))} the setting refsafe (MuJoCo's) "
                 f"softens {names}; refsafe=False, or a solref of negative numbers, keeps the "

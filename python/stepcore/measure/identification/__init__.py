@@ -26,7 +26,7 @@ from stepcore.measure.identification.doubts import (
     gap_findings,
     horizon_findings,
     log_findings,
-    predictable,
+    predictable_times,
     spare,
 )
 from stepcore.measure.identification.log import (
@@ -36,11 +36,11 @@ from stepcore.measure.identification.log import (
     driven,
     is_delay,
     late_entries,
-    opened,
+    open_logs,
     read_log,
-    within,
+    usable,
 )
-from stepcore.measure.identification.misfit import FINER, Quality, beyond, misfits, missing, refines
+from stepcore.measure.identification.misfit import FINER, Quality, beyond, lacking, misfits, refines
 from stepcore.measure.identification.predictions import Predictions
 from stepcore.measure.identification.readings import check_smooth
 from stepcore.measure.identification.result import LIMITS, Curve, Identification
@@ -132,25 +132,25 @@ def identify(
     90.0
     """
     workers = Workers.checked("identify", threads, None, progress)
-    logs = opened(logs)
-    given = driven(Change(precision="f64").of(find_model(model)), logs)
-    if any(actuator.delay > 0 for actuator in given.scene.actuators):
+    logs = open_logs(logs)
+    initial = driven(Change(precision="f64").of(find_model(model)), logs)
+    if any(actuator.delay > 0 for actuator in initial.scene.actuators):
         limit = 'without delays of actuators: make these 0, and "delay" a parameter'
         raise ValueError(f"model: must be {limit}")
-    compiled, bounds, guess = _bounds(given, parameters)
+    compiled, bounds, guess = _bounds(initial, parameters)
     if interpolation is not None:
         checks.one_of(*INTERPOLATIONS)("identify", "interpolation", interpolation)
-    whole = _read(compiled, logs, interpolation == "linear")
+    data = _read(compiled, logs, interpolation == "linear")
     length = None if pieces is None else units.time("pieces", pieces)
-    findings = [*log_findings(compiled, whole, list(bounds)), *gap_findings(whole)]
+    findings = [*log_findings(compiled, data, list(bounds)), *gap_findings(data)]
     for finding in findings:
         workers.deadline.so_far(finding.text)
     start, most = list(guess.values()), checks.count("most", most)
 
     def fitted(length: float | None, values: Sequence[float] = start) -> Identification:
         """Fit the logs in pieces of a length [s], beginning with these values."""
-        parts = whole if length is None else [p for log in whole for p in log.cut(compiled, length)]
-        read = [within(compiled, part, bounds) for part in parts]
+        parts = data if length is None else [p for log in data for p in log.split(compiled, length)]
+        read = [usable(compiled, part, bounds) for part in parts]
         fit = Predictions(compiled, read, list(bounds), threads=workers.threads)
         check_smooth(compiled, {p.entry for p in fit.parts if p.array == "sensordata"})
         first = fit.predicted(np.append(start, np.zeros(fit.free)))
@@ -158,54 +158,54 @@ def identify(
         with workers.deadline.closing():
             result = _result(search, guess, first, findings, workers.deadline)
         if not search.settled and not workers.deadline.left_out:
-            said = f"The search was cut off by most = {most}: the values may still change."
-            result.unfinished = said
+            text = f"The search was cut off by most = {most}: the values may still change."
+            result.unfinished = text
         return result
 
     try:
         result = fitted(length)
     except SimulationError as error:
         limit = "must be values with which the logs can be run"
-        said = " ".join(["", *(finding.text for finding in findings)])
-        raise ValueError(f"model: {checks.one_line(error)}: {limit}.{said}") from None
+        text = " ".join(["", *(finding.text for finding in findings)])
+        raise ValueError(f"model: {checks.one_line(error)}: {limit}.{text}") from None
     notes = list[str]()
-    if interpolation is None and _leads(result, whole):
-        held = whole
-        whole = [replace(log, controls=replace(log.controls, linear=True)) for log in held]
+    if interpolation is None and _leads(result, data):
+        stepped = data
+        data = [replace(log, controls=replace(log.controls, linear=True)) for log in stepped]
         between = None
         with suppress(SimulationError), workers.deadline.stage("a fit with interpolated controls"):
             between = fitted(length)
         lacks = None if between is None else between.quality.missing
         # If a delay of half a row is left with interpolated rows, the rows were held.
-        late = lacks is not None and lacks.delay > _row(held) / 4
+        late = lacks is not None and lacks.delay > _row(stepped) / 4
         if between is None or late or not _explains(between.quality, result.quality):
-            whole = held
+            data = stepped
         else:
             result, notes = between, [LINEAR]
             result.notes.append(LINEAR)
-    if length is not None or not all(len(log.begins) for log in whole):
+    if length is not None or not all(len(log.begins) for log in data):
         return result
     # Errors grow six times in a quarter of the time in which they grow a thousand times.
     end, verdict = rounded(min(result.predictable) / 4, 1), result.quality.verdict
-    again, note = None, FROM
+    refit, note = None, FROM
     try:
         if end == np.inf and verdict == "bad":
             with workers.deadline.stage("a fit that begins with short pieces"):
-                near = _from_pieces(compiled, whole, bounds, result, workers, most)
-                again = None if near is None else fitted(None, near)
+                near = _from_pieces(compiled, data, bounds, result, workers, most)
+                refit = None if near is None else fitted(None, near)
         elif ENOUGH * compiled.settings.dt < end < np.inf and not findings and verdict != "noise":
             note = CUT.format(units.seconds(end), units.seconds(4 * end))
             with workers.deadline.stage(f"the fit of pieces of {units.seconds(end)}"):
-                again = fitted(end)
+                refit = fitted(end)
     except SimulationError:
         # If the pieces cannot be run, return the fit of the whole logs.
         return result
-    if again is None:
+    if refit is None:
         return result
-    if again.quality.verdict == "bad" and not _explains(again.quality, result.quality):
+    if refit.quality.verdict == "bad" and not _explains(refit.quality, result.quality):
         return result
-    again.notes += [*notes, note]
-    return again
+    refit.notes += [*notes, note]
+    return refit
 
 
 def _leads(result: Identification, logs: Sequence[MeasuredLog]) -> bool:
@@ -228,14 +228,14 @@ def _row(logs: Sequence[MeasuredLog]) -> float:
     return float(np.median(rows)) if len(rows) else 0.0
 
 
-def _explains(one: Quality, other: Quality) -> bool:
+def _explains(quality: Quality, other: Quality) -> bool:
     """Return whether one fit leaves less residual beyond the noise than another, worse fit: less
     than half, and less than with the other's missing value; or any less if only the other is bad.
     """
     lacks = other.missing
     rest = 0.5 if lacks is None or is_delay(lacks.label) else min(0.5, 1 - lacks.share)
-    rest = 1.0 if one.verdict in LIMITS and other.verdict == "bad" else rest
-    return beyond(one.misfits, other.misfits) < rest * beyond(other.misfits, other.misfits)
+    rest = 1.0 if quality.verdict in LIMITS and other.verdict == "bad" else rest
+    return beyond(quality.misfits, other.misfits) < rest * beyond(other.misfits, other.misfits)
 
 
 def _from_pieces(
@@ -255,8 +255,8 @@ def _from_pieces(
         parts = list[MeasuredLog]()
         for log in logs:
             spacing = log.duration / max(1, len(log.measured["qpos"].times) - 1)
-            parts += log.cut(model, rows * spacing)
-        some = [within(model, part, bounds) for part in parts[:: math.ceil(len(parts) / PIECES)]]
+            parts += log.split(model, rows * spacing)
+        some = [usable(model, part, bounds) for part in parts[:: math.ceil(len(parts) / PIECES)]]
         fit = Predictions(model, some, list(bounds), threads=workers.threads)
         x = Search(fit, bounds, values, workers, min(most, PIECES)).x
         # A quantity that is seldom measured may be in no piece.
@@ -280,23 +280,23 @@ def _bounds(
     if not isinstance(parameters, Mapping) or not parameters:
         limit = 'a dict of paths and ranges, such as {"joint/knee/damping": (0.01, 10)}'
         raise ValueError(f"parameters = {checks.shown(parameters)}: must be {limit}")
-    known, guess = dict[str, tuple[float, float]](), dict[str, float]()
-    for path, given in parameters.items():
-        pair = checks.listed(given) or ()
+    bounds, guess = dict[str, tuple[float, float]](), dict[str, float]()
+    for path, value_range in parameters.items():
+        pair = checks.as_list(value_range) or ()
         low, high = (checks.number(x) for x in pair) if len(pair) == 2 else (None, None)
         if low is None or high is None or not low < high:
             raise ValueError(f"parameters[{checks.shown(path)}]: must be a range (low, high)")
         small = math.copysign(min(1e-6, 1e-3 * max(high, -low)), high or -1)
         limit = "a range without 0" + f": use {small:g} in its place" * (low * high == 0)
-        allowed, own = low > 0 or high < 0, {path: min(max(0.0, low), high)}
+        allowed, initial = low > 0 or high < 0, {path: min(max(0.0, low), high)}
         if path == DELAY:
             limit, allowed = "of a model with controls", model.nu > 0
         elif isinstance(path, str) and is_delay(path):
             late_entries(model, path)
             allowed = True
         elif allowed:
-            model, own = _begun(model, path, low, high)
-            off = {label: value for label, value in own.items() if not low <= value <= high}
+            model, initial = _begun(model, path, low, high)
+            off = {label: value for label, value in initial.items() if not low <= value <= high}
             if off:
                 path, allowed = ", ".join(off), False
                 values = ", ".join(f"{value:g}" for value in off.values())
@@ -304,9 +304,9 @@ def _bounds(
         if not allowed:
             shown = f"parameters[{checks.shown(path)}] = ({low:g}, {high:g})"
             raise ValueError(f"{shown}: must be {limit}")
-        guess |= {label: float(value) for label, value in own.items()}
-        known |= dict.fromkeys(own, (float(low), float(high)))
-    return model, known, guess
+        guess |= {label: float(value) for label, value in initial.items()}
+        bounds |= dict.fromkeys(initial, (float(low), float(high)))
+    return model, bounds, guess
 
 
 def _begun(model: Model, path: str, low: float, high: float) -> tuple[Model, dict[str, float]]:
@@ -395,7 +395,7 @@ class Search:
             )
             return self._known[part][1] * self._units
 
-        found = least_squares(
+        solution = least_squares(
             lambda y: _residual(part, at(y)),
             first,
             jac=slopes,
@@ -404,7 +404,7 @@ class Search:
             max_nfev=self.most,
             **when,
         )
-        return bool(found.status > 0)
+        return bool(solution.status > 0)
 
 
 def _residual(fit: Predictions, x: np.ndarray) -> np.ndarray:
@@ -424,12 +424,12 @@ def _result(
 ) -> Identification:
     """Return the result of a search. first: the predictions with the first guess."""
     fit, x, after = search.fit, search.x, search.fit.predicted(search.x)
-    ends, finer = predictable(fit, x), np.full(len(after), np.nan)
+    ends, finer = predictable_times(fit, x), np.full(len(after), np.nan)
     low, high = np.array(list(search.bounds.values())).T
     with limit.stage("the error of the time step"):
         finer = fit.predicted(x, FINER)
-    found = misfits(fit, after, fit.rms(after, finer))
-    spreads, kinds = [each.spread for each in found.values()], fit.kinds[fit.known]
+    misfit = misfits(fit, after, fit.rms(after, finer))
+    spreads, kinds = [each.spread for each in misfit.values()], fit.kinds[fit.known]
     sure = certainty(search.jacobian, fit.residual(x), kinds, fit.labels, spreads)
     rest, lacks = spare(search.jacobian), None
     half = need("scipy.special", "identify", "identify").stdtrit(max(1, rest), 0.975) * sure.errors
@@ -438,13 +438,13 @@ def _result(
     moved, refined = x - sure.inverse @ shorter, False
     moved[: len(low)] = np.clip(moved[: len(low)], low, high)
     # An exact log leaves no residual to explain.
-    if rest > 0 and any(each.residual > WEAK * fit.scales[label] for label, each in found.items()):
+    if rest > 0 and any(each.residual > WEAK * fit.scales[label] for label, each in misfit.items()):
         if np.isfinite(moved).all():
             with limit.stage("a run with shorter steps"):
-                refined = refines(fit, found, finer, moved)
+                refined = refines(fit, misfit, finer, moved)
         with limit.stage("the value that would explain the residual"):
-            lacks = missing(fit, x, search.jacobian, shorter if refined else None, found)
-    quality = Quality(found, lacks, rest, refined)
+            lacks = lacking(fit, x, search.jacobian, shorter if refined else None, misfit)
+    quality = Quality(misfit, lacks, rest, refined)
     if quality.verdict in ("bad", "few"):
         half = np.full(len(half), np.inf)
     elif quality.verdict == "unexplained" and lacks is not None:
@@ -455,7 +455,7 @@ def _result(
         # A value is unknown if another iteration would change it by more than half of the interval.
         next_step = np.abs(sure.inverse @ fit.residual(x))[: len(half)]
         half = np.where((next_step > half) | (x[: len(half)] == search.begun), np.inf, half)
-    whole = sum(log.duration for log in fit.logs)
+    duration = sum(log.duration for log in fit.logs)
     ranges = zip((x[: len(half)] - half).tolist(), (x[: len(half)] + half).tolist(), strict=True)
 
     def named(values: np.ndarray) -> dict[str, float]:
@@ -483,7 +483,7 @@ def _result(
         model=fit.model(x),
         steps=fit.steps,
         linearised=fit.linearised,
-        ran=f"{counted(len(fit.logs), 'log')} of {units.seconds(whole)} in all",
+        ran=f"{counted(len(fit.logs), 'log')} of {units.seconds(duration)} in all",
         notes=[note for log in fit.logs for note in log.notes],
     )
 
@@ -491,4 +491,4 @@ def _result(
 def _curves(fit: Predictions, before: np.ndarray, after: np.ndarray) -> list[Curve]:
     ends = np.cumsum([len(part.times) for part in fit.parts])[:-1]
     both = zip(fit.parts, np.split(before, ends), np.split(after, ends), strict=True)
-    return [Curve(p.log, p.label, p.times, p.values, *made) for p, *made in both]
+    return [Curve(p.log, p.label, p.times, p.values, *predictions) for p, *predictions in both]

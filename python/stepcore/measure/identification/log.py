@@ -12,7 +12,7 @@ import numpy as np
 
 from stepcore import checks
 from stepcore.engine.coordinates import Coordinates
-from stepcore.engine.element import listed
+from stepcore.engine.element import name_list
 from stepcore.engine.model import Model
 from stepcore.engine.trajectory import Trajectory
 from stepcore.experiment.control_table import ControlLog
@@ -54,11 +54,11 @@ class MeasuredLog:
     @cached_property
     def duration(self) -> float:
         """The time of the last measured number [s]."""
-        known = (
+        finite_times = (
             series.times[np.isfinite(series.values).any(axis=1)]
             for series in self.measured.values()
         )
-        return float(max(times[-1] for times in known if len(times)))
+        return float(max(times[-1] for times in finite_times if len(times)))
 
     def steps(self, dt: float) -> int:
         """Return the number of steps of dt [s] that the log lasts."""
@@ -68,9 +68,9 @@ class MeasuredLog:
         """Return the rows of this log between two times [s]; new times count from the first."""
         cut = {}
         for name, (times, values) in self.measured.items():
-            own = (times >= begin) & (times <= end)
-            if np.isfinite(values[own]).any():
-                cut[name] = Series(times[own] - begin, values[own])
+            inside = (times >= begin) & (times <= end)
+            if np.isfinite(values[inside]).any():
+                cut[name] = Series(times[inside] - begin, values[inside])
         controls = replace(self.controls, times=self.controls.times - begin)
         return replace(self, measured=cut, controls=controls)
 
@@ -78,26 +78,26 @@ class MeasuredLog:
     def begins(self) -> np.ndarray:
         """The times of rows with all positions that the log measures [s]."""
         times, qpos = self.measured["qpos"]
-        known = np.isfinite(qpos)
-        return times[known[:, known.any(axis=0)].all(axis=1)]
+        finite = np.isfinite(qpos)
+        return times[finite[:, finite.any(axis=0)].all(axis=1)]
 
-    def cut(self, model: Model, length: float) -> list[MeasuredLog]:
+    def split(self, model: Model, length: float) -> list[MeasuredLog]:
         """Return pieces of a length [s], each starting at one of `begins`.
 
         Raises ValueError if there is none.
         """
-        whole = self.begins
-        if not len(whole):
+        complete = self.begins
+        if not len(complete):
             raise ValueError(f"pieces: {self.name} has no row with all positions that it measures")
         marks = np.arange(length, self.duration - length / 2, length)
-        begins = np.unique(whole[np.searchsorted(whole, marks).clip(max=len(whole) - 1)])
+        begins = np.unique(complete[np.searchsorted(complete, marks).clip(max=len(complete) - 1)])
         ends = np.nextafter([*begins, np.inf], 0.0)
         later = [self.between(*rows) for rows in zip(begins, ends[1:], strict=True)]
-        own = [replace(piece, start=first_state(model, piece.measured)) for piece in later]
-        return [self.between(0.0, ends[0]), *own]
+        pieces = [replace(piece, start=first_state(model, piece.measured)) for piece in later]
+        return [self.between(0.0, ends[0]), *pieces]
 
 
-def opened(logs: Any) -> list[Any]:
+def open_logs(logs: Any) -> list[Any]:
     """Return the sources of each log for `read_log`, each with its array or ""."""
     alone = isinstance(logs, (Trajectory, Mapping, str, os.PathLike, Log))
     several = [logs] if alone or hasattr(logs, "columns") else [*logs]
@@ -112,8 +112,8 @@ def _sources(log: Any, name: str) -> list[tuple[str, Log]]:
         return log
     apart = isinstance(log, Mapping) and log and set(map(str, log)) <= set(ARRAYS)
     sources = [(str(key), Log(log[key], name)) for key in log] if apart else [("", Log(log, name))]
-    for array, own in sources:
-        own.asked = array if array in ("qpos", "ctrl") else ""
+    for array, source in sources:
+        source.expected = array if array in ("qpos", "ctrl") else ""
     return sources
 
 
@@ -132,24 +132,24 @@ def read_log(model: Model, log: Any, name: str, linear: bool = False) -> Measure
     Raises ValueError if it is no log of this model, and OSError for a file.
     """
     series, notes = dict[str, Series](), list[str]()
-    for array, own in _sources(log, name):
-        if own.times is None:
-            raise ValueError(f"{own.source}: must be {KINDS}")
-        placed, arrays = own.placed(model), [array] if array else ARRAYS
-        found = {key: placed.arrays[key] for key in arrays if key in placed.arrays}
+    for array, part in _sources(log, name):
+        if part.times is None:
+            raise ValueError(f"{part.source}: must be {KINDS}")
+        placed, arrays = part.placed(model), [array] if array else ARRAYS
+        read = {key: placed.arrays[key] for key in arrays if key in placed.arrays}
         if "ctrl" in arrays and model.nu:
-            found["ctrl"] = own.controls(model, np.full(model.nu, np.nan))
-        if array and array not in found:
-            raise ValueError(f"{own.source}: has no {array}, but {placed.words or 'nothing known'}")
-        series |= {key: Series(own.begin + own.times, values) for key, values in found.items()}
-        notes.append(f"{own.source}: {own.told(model)}")
+            read["ctrl"] = part.controls(model, np.full(model.nu, np.nan))
+        if array and array not in read:
+            raise ValueError(f"{part.source}: has no {array}, but {placed.words or 'no names'}")
+        series |= {key: Series(part.begin + part.times, values) for key, values in read.items()}
+        notes.append(f"{part.source}: {part.told(model)}")
         if placed.unread and not array:
             unread = checks.cut(", ".join(placed.unread), 120)
-            notes.append(f"{own.source} has columns that are nothing of the model: {unread}")
+            notes.append(f"{part.source} has columns that are nothing of the model: {unread}")
     if "qpos" not in series or not np.isfinite(series["qpos"].values).any():
         raise ValueError(f"{name}: has no positions: name columns such as joint.position")
     if model.nu and "ctrl" not in series:
-        raise ValueError(f"{name}: ctrl is missing of {listed(model.called('actuator'))}")
+        raise ValueError(f"{name}: ctrl is missing of {name_list(model.called('actuator'))}")
     origin = series["qpos"].times[0]
     moved = {key: Series(times - origin, values) for key, (times, values) in series.items()}
     controls = moved.pop("ctrl", Series(np.zeros(1), np.zeros((1, model.nu))))
@@ -171,8 +171,8 @@ def first_state(model: Model, measured: Mapping[str, Series]) -> tuple[np.ndarra
     times, poses = measured["qpos"]
     first = home(model, None)[0].qpos.copy()
     for k, column in enumerate(poses.T):
-        known = column[np.isfinite(column)]
-        first[k] = known[0] if len(known) else first[k]
+        finite = column[np.isfinite(column)]
+        first[k] = finite[0] if len(finite) else first[k]
     second = poses[1:2] if len(poses) > 1 else first[None]
     after = np.where(np.isfinite(second[0]), second[0], first)
     rate = Coordinates(model).change(first, after) / (times[1] if len(times) > 1 else 1.0)
@@ -205,7 +205,7 @@ def late_entries(model: Model, label: str) -> tuple[str, Sequence[int]]:
     return name, range(widths[name])
 
 
-def within(
+def usable(
     model: Model, log: MeasuredLog, bounds: Mapping[str, tuple[float, float]]
 ) -> MeasuredLog:
     """Return a log without the rows that may be from before its first state or after its end, for

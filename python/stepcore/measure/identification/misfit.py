@@ -65,10 +65,10 @@ def misfits(fit: Predictions, after: np.ndarray, steps: Mapping[str, float]) -> 
     after: the predictions. steps: their RMS changes with shorter steps.
     """
     off = np.split(after - fit.measured, np.cumsum([len(part.times) for part in fit.parts])[:-1])
-    found = {}
+    by_label = {}
     for label in fit.quantities:
-        own = [k for k, part in enumerate(fit.parts) if part.label == label]
-        rows = [off[k][np.isfinite(off[k])] for k in own]
+        indices = [k for k, part in enumerate(fit.parts) if part.label == label]
+        rows = [off[k][np.isfinite(off[k])] for k in indices]
         square = _mean([row**2 for row in rows])
         noise = min(
             square,
@@ -78,7 +78,7 @@ def misfits(fit: Predictions, after: np.ndarray, steps: Mapping[str, float]) -> 
             ),
         )
         # Rounded numbers differ by at least their last digit, or not at all.
-        values = [fit.parts[k].values for k in own]
+        values = [fit.parts[k].values for k in indices]
         apart = np.concatenate([np.abs(np.diff(each[np.isfinite(each)])) for each in values])
         digit = np.min(apart[apart > 0], initial=np.inf)
         if math.isfinite(digit):
@@ -86,8 +86,8 @@ def misfits(fit: Predictions, after: np.ndarray, steps: Mapping[str, float]) -> 
         white, spread = True, 1.0
         if square > (WEAK * fit.scales[label]) ** 2:
             white, spread = _autocorrelation(rows, square)
-        found[label] = Misfit(math.sqrt(square), math.sqrt(noise), steps[label], white, spread)
-    return found
+        by_label[label] = Misfit(math.sqrt(square), math.sqrt(noise), steps[label], white, spread)
+    return by_label
 
 
 def _mean(rows: Sequence[np.ndarray]) -> float:
@@ -100,30 +100,30 @@ def _autocorrelation(rows: Sequence[np.ndarray], square: float) -> tuple[bool, f
 
     For white noise the sum of the autocorrelations at m lags has a variance of m/n.
     """
-    known = sum(map(len, rows))
+    count = sum(map(len, rows))
     most = min(max(map(len, rows)) // 4, int(LAGS[-1] ** 2))
     if most < 1:
         return True, 1.0
     each = [
-        sum(float(row[lag:] @ row[:-lag]) for row in rows) / (known * square)
+        sum(float(row[lag:] @ row[:-lag]) for row in rows) / (count * square)
         for lag in range(1, most + 1)
     ]
     sums = np.cumsum(each)
     lags = LAGS[most >= LAGS].astype(int)
-    if (sums[lags - 1] * np.sqrt(known / lags)).max() <= SURE:
+    if (sums[lags - 1] * np.sqrt(count / lags)).max() <= SURE:
         return True, 1.0
     return False, 1.0 + 2.0 * float(sums.max())
 
 
-def beyond(found: Mapping[str, Misfit], usual: Mapping[str, Misfit]) -> float:
+def beyond(by_label: Mapping[str, Misfit], usual: Mapping[str, Misfit]) -> float:
     """Return the squared residuals beyond the noise, relative to the noise of `usual`."""
     noise = {key: max(each.noise, WEAK * each.residual) for key, each in usual.items()}
-    ratios = [each.residual / (noise[key] or 1.0) for key, each in found.items()]
+    ratios = [each.residual / (noise[key] or 1.0) for key, each in by_label.items()]
     return sum(max(0.0, ratio**2 - 1) for ratio in ratios)
 
 
 def refines(
-    fit: Predictions, found: Mapping[str, Misfit], finer: np.ndarray, moved: np.ndarray
+    fit: Predictions, by_label: Mapping[str, Misfit], finer: np.ndarray, moved: np.ndarray
 ) -> bool:
     """Return whether shorter steps leave less than half of the squared residual beyond the noise.
 
@@ -135,8 +135,8 @@ def refines(
         runs.append(fit.predicted(moved, FINER))
     for run in runs:
         off = fit.rms(fit.measured, run)
-        after = {key: replace(each, residual=off[key]) for key, each in found.items()}
-        if beyond(after, found) <= beyond(found, found) / 2:
+        after = {key: replace(each, residual=off[key]) for key, each in by_label.items()}
+        if beyond(after, by_label) <= beyond(by_label, by_label) / 2:
             return True
     return False
 
@@ -178,8 +178,8 @@ class Missing:
     def looks(self) -> str:
         """The possible cause of the residual in words."""
         kind, field = self.label.split("/")[0], self.label.rpartition("/")[2]
-        what = LOOKS.get(kind, {}).get(field, "a delay")
-        return f"{what} that is {'missing' if self.absent else 'wrong'}"
+        cause = LOOKS.get(kind, {}).get(field, "a delay")
+        return f"{cause} that is {'missing' if self.absent else 'wrong'}"
 
 
 @dataclass(frozen=True)
@@ -221,23 +221,23 @@ class Quality:
         return "bad" if worst.unexplained > worst.noise else "unexplained"
 
 
-def missing(
+def lacking(
     fit: Predictions,
     x: np.ndarray,
-    own: np.ndarray,
+    slopes: np.ndarray,
     finer: np.ndarray | None,
-    found: Mapping[str, Misfit],
+    by_label: Mapping[str, Misfit],
 ) -> Missing | None:
     """Return the additional value that would explain most, from derivatives at the estimates.
 
-    own: the Jacobian at x. finer: the change of the residuals with shorter steps, None if it does
-    not explain them. found: the misfit of each quantity, whose noise is its weight.
+    slopes: the Jacobian at x. finer: the change of the residuals with shorter steps, None if it
+    does not explain them. by_label: the misfit of each quantity, whose noise is its weight.
 
     Each value's column c, minus its projection on the estimates' columns, explains (cᵀr)²/cᵀc of
     the squared residual, in units of the noise: for white noise a number of a χ² distribution.
     """
     count = len(fit.labels)
-    least = [max(found[label].noise, WEAK * fit.scales[label]) for label in fit.quantities]
+    least = [max(by_label[label].noise, WEAK * fit.scales[label]) for label in fit.quantities]
     noise = fit.in_units(least)[:, None]
     model, values = _candidates(fit)
     if not values:
@@ -247,7 +247,7 @@ def missing(
     columns = wide.jacobian(first)[:, count : count + len(values)]
     steps = [] if finer is None else [STEP]
     columns = np.column_stack([columns, *([] if finer is None else [finer])]) / noise
-    basis, _ = np.linalg.qr(own / noise)
+    basis, _ = np.linalg.qr(slopes / noise)
     residual = fit.residual(x) / noise[:, 0]
     left = residual - basis @ (basis.T @ residual)
     added = columns - basis @ (basis.T @ columns)
@@ -260,7 +260,8 @@ def missing(
     can = (change > 0) | ~absent | [is_delay(label) for label in labels]
     explained = np.where(can, (change * sizes) ** 2, 0.0)
     best = int(np.argmax(explained))
-    most, enough = float(explained[best]), SURE**2 * max(each.spread for each in found.values())
+    explaining = columns[:, best] * change[best]
+    most, enough = float(explained[best]), SURE**2 * max(each.spread for each in by_label.values())
     late = labels.index(DELAY) if DELAY in labels else best
     return Missing(
         label=labels[best],
@@ -269,13 +270,13 @@ def missing(
         share=most / max(float(left @ left) - len(left), most, math.ulp(0.0)),
         absent=bool(absent[best]),
         sure=most > enough,
-        shift=np.linalg.lstsq(own / noise, columns[:, best] * change[best], rcond=None)[0][:count],
+        shift=np.linalg.lstsq(slopes / noise, explaining, rcond=None)[0][:count],
     )
 
 
 def _candidates(fit: Predictions) -> tuple[Model, dict[str, float]]:
     """Return a model with values outside the search that a log may need, and these values."""
-    model, found, almost = fit.base, dict[str, float](), dict[str, float]()
+    model, additions, almost = fit.base, dict[str, float](), dict[str, float]()
     for kind, fields in LOOKS.items():
         for (k, name), field in itertools.product(enumerate(model.names[kind]), fields):
             label = f"{kind}/{name or f'#{k}'}/{field}"
@@ -284,12 +285,12 @@ def _candidates(fit: Predictions) -> tuple[Model, dict[str, float]]:
             except ValueError:
                 continue
             if column.value:
-                found[label] = column.value
+                additions[label] = column.value
             elif kind == "joint" and model.jnt_type[k] in ("hinge", "slide"):
-                found[label] = almost[label] = WEAK
+                additions[label] = almost[label] = WEAK
     late = [f"{DELAY}/{array}" for array in dict.fromkeys(part.array for part in fit.parts)]
-    found |= dict.fromkeys([DELAY] * bool(model.nu) + late, 0.0)
-    values = {label: value for label, value in found.items() if label not in fit.labels}
+    additions |= dict.fromkeys([DELAY] * bool(model.nu) + late, 0.0)
+    values = {label: value for label, value in additions.items() if label not in fit.labels}
     model = Change({k: v for k, v in almost.items() if k in values}).of(model)
     sim, labels = Sim(model), [label for label in values if not label.startswith(DELAY)]
     # Some values change more than numbers, such as the gear of a force at a site.

@@ -89,8 +89,8 @@ class Predictions:
         for label, value in zip(self.labels, x, strict=False):
             if not is_delay(label):
                 path, entry = split_entry(label)
-                own = changed.setdefault(path, own_value(self.base, path))
-                own[() if entry is None else entry] = value
+                entries = changed.setdefault(path, own_value(self.base, path))
+                entries[() if entry is None else entry] = value
         return Change({path: value.tolist() for path, value in changed.items()}).of(self.base)
 
     def runs(self, x: np.ndarray) -> list[Run]:
@@ -111,7 +111,7 @@ class Predictions:
     def predicted(self, x: np.ndarray, finer: int = 1) -> np.ndarray:
         """Return the predictions of all parts. finer: the number of steps that replace one."""
         runs = self.runs(x) if finer == 1 else self._made(x, finer)
-        return np.concatenate([runs[part.log].shown(part) for part in self.parts])
+        return np.concatenate([runs[part.log].predictions(part) for part in self.parts])
 
     def residual(self, x: np.ndarray) -> np.ndarray:
         """Return prediction minus measurement for all measured numbers, in units of the scales."""
@@ -123,19 +123,19 @@ class Predictions:
 
     def in_units(self, sizes: Sequence[float]) -> np.ndarray:
         """Convert sizes of the quantities, in their units, to sizes of all residuals."""
-        whole: np.ndarray = (np.asarray(sizes)[self.kinds] / self._units)[self.known]
-        return whole
+        scaled: np.ndarray = (np.asarray(sizes)[self.kinds] / self._units)[self.known]
+        return scaled
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
         """Return the derivative of the residuals with respect to x."""
         runs, count, nv, parts = self.runs(x), len(self.labels), self.base.nv, []
         for part in self.parts:
-            own, place = runs[part.log].moved(part), count + 2 * nv * part.log
-            rows = np.zeros((len(own), count + self.free))
-            rows[:, :count], rows[:, place : place + 2 * nv] = own[:, :count], own[:, count:]
+            slopes, place = runs[part.log].derivatives(part), count + 2 * nv * part.log
+            rows = np.zeros((len(slopes), count + self.free))
+            rows[:, :count], rows[:, place : place + 2 * nv] = slopes[:, :count], slopes[:, count:]
             parts.append(rows)
-        whole: np.ndarray = (np.concatenate(parts) / self._units[:, None])[self.known]
-        return whole
+        scaled: np.ndarray = (np.concatenate(parts) / self._units[:, None])[self.known]
+        return scaled
 
     def rms(self, first: np.ndarray, second: np.ndarray) -> dict[str, float]:
         """Return the RMS difference of each quantity in two predictions at measured rows."""
@@ -184,11 +184,11 @@ class Run:
         fit.steps += steps.count
         fit.linearised += steps.count
         count, late = len(fit.labels), [k for k, name in enumerate(fit.labels) if name == DELAY]
-        found = sensitivities(steps, 0, self._pushes[:-1][..., late])
-        own = [*map(fit.labels.index, fit.paths), *late]
-        slopes = np.zeros((*found.shape[:2], count + 2 * nv))
-        slopes[..., own] = found[..., : len(own)]
-        slopes[..., count:] = found[..., len(own) : len(own) + 2 * nv]
+        tangents = sensitivities(steps, 0, self._pushes[:-1][..., late])
+        places = [*map(fit.labels.index, fit.paths), *late]
+        slopes = np.zeros((*tangents.shape[:2], count + 2 * nv))
+        slopes[..., places] = tangents[..., : len(places)]
+        slopes[..., count:] = tangents[..., len(places) : len(places) + 2 * nv]
         # The correction of the first position turns a quaternion from its value in the log, not
         # from the corrected one.
         turns, start = steps.tangents, np.tile(self.log.start[0], (nv, 1))
@@ -212,21 +212,21 @@ class Run:
         """Interpolate values at the states to the rows of a part."""
         before, after, share = self._between(part)
         share = np.clip(share, 0.0, 1.0).reshape(-1, *[1] * (rows.ndim - 1))
-        found: np.ndarray = rows[before] + share * (rows[after] - rows[before])
-        return found
+        values: np.ndarray = rows[before] + share * (rows[after] - rows[before])
+        return values
 
-    def shown(self, part: Part) -> np.ndarray:
+    def predictions(self, part: Part) -> np.ndarray:
         """Return the predictions of a part, shape (T,)."""
         return self._interpolated(self._table(part.array)[:, part.entry], part)
 
-    def moved(self, part: Part) -> np.ndarray:
+    def derivatives(self, part: Part) -> np.ndarray:
         """Return the derivatives of the predictions of a part, shape (T, parameters + 2 nv)."""
-        found = self._interpolated(self._moved(part.array)[:, part.entry], part)
+        slopes = self._interpolated(self._moved(part.array)[:, part.entry], part)
         if part.late:
             (before, after, share), rows = self._between(part), self._table(part.array)
             rates = (rows[after] - rows[before])[:, part.entry] / self.dt
-            found[:, part.late] -= np.where((share >= 0) & (share <= 1), rates, 0.0)[:, None]
-        return found
+            slopes[:, part.late] -= np.where((share >= 0) & (share <= 1), rates, 0.0)[:, None]
+        return slopes
 
     def _table(self, array: str) -> Floats:
         return self._sensed if array == "sensordata" else self.steps.states[array][0]
@@ -247,8 +247,8 @@ class Run:
     @cached_property
     def _near(self) -> np.ndarray:
         """The states next to the times at which sensors were read."""
-        own = [part for part in self.fit.parts if self.fit.logs[part.log] is self.log]
-        sensed = [self._between(part)[:2] for part in own if part.array == "sensordata"]
+        parts = [part for part in self.fit.parts if self.fit.logs[part.log] is self.log]
+        sensed = [self._between(part)[:2] for part in parts if part.array == "sensordata"]
         return np.unique(np.concatenate([np.concatenate(each) for each in sensed]))
 
     @cached_property
@@ -270,9 +270,9 @@ class Run:
         by = [None if is_delay(label) else columns(self.model, [label])[0] for label in labels]
         # Sensors do not depend on past controls.
         ways = self.slopes[near, : 2 * self.model.nv + self.model.na]
-        own = self._readings.slopes(ways, self._pushes[near], [*by, *[None] * 2 * self.model.nv])
-        table = np.full((self.steps.count + 1, *own.shape[1:]), np.nan)
-        table[near] = own
+        slopes = self._readings.slopes(ways, self._pushes[near], [*by, *[None] * 2 * self.model.nv])
+        table = np.full((self.steps.count + 1, *slopes.shape[1:]), np.nan)
+        table[near] = slopes
         return table
 
 

@@ -14,7 +14,7 @@ from stepcore.engine.arrays import Floats
 from stepcore.engine.batch import Batch, unwatched
 from stepcore.engine.coordinates import Coordinates
 from stepcore.engine.model import Model
-from stepcore.engine.parameters import AROUND, SHARE, Column, models_around
+from stepcore.engine.parameters import AROUND, SPACING, Column, models_around
 from stepcore.engine.run_settings import converged_settings
 from stepcore.executors import checkpoint
 from stepcore.experiment.change import Change
@@ -38,8 +38,8 @@ class Readings:
         self.count = len(states["qpos"])
         solved = converged_settings(model.settings, tolerance=1e-14, sleep=False)
         worlds = min(WORLDS, len(AROUND) * self.count)
-        own = Change.between(solved, model.settings).of(model)
-        self.batch = unwatched(Batch(own, worlds, threads=1, on_failure="go on"))
+        solved_model = Change.between(solved, model.settings).of(model)
+        self.batch = unwatched(Batch(solved_model, worlds, threads=1, on_failure="go on"))
 
     def values(self) -> Floats:
         """Return the readings at each state, shape (n, m)."""
@@ -66,11 +66,11 @@ class Readings:
         ways: derivatives of the states by each number, (n, 2 nv + na, numbers). pushes: of the
         controls, (n, nu, numbers). by: the parameter of the model for each number, or None.
         """
-        moved, nv, found = Coordinates(self.model), self.model.nv, []
+        moved, nv, derivatives = Coordinates(self.model), self.model.nv, []
         for k, column in enumerate(by):
             way, push = ways[..., k], pushes[..., k]
             size = np.abs(np.concatenate([way, push], axis=1)).max(axis=1)
-            apart = np.full(self.count, column.apart if column else SHARE)
+            apart = np.full(self.count, column.spacing if column else SPACING)
             apart /= 1.0 if column else np.where(size > 0, size, 1.0)
             much = (apart[:, None] * AROUND).reshape(-1, 1)
             change, drive = (much * np.repeat(part, len(AROUND), axis=0) for part in (way, push))
@@ -81,8 +81,8 @@ class Readings:
             near["ctrl"] = near["ctrl"] + drive
             models = models_around(self.model, [column])[0] if column else [self.model.core]
             values = self._read(near, models).reshape(self.count, len(AROUND), -1)
-            found.append(np.einsum("nkm,k->nm", values, FOURTH) / apart[:, None])
-        return np.stack(found, axis=-1)
+            derivatives.append(np.einsum("nkm,k->nm", values, FOURTH) / apart[:, None])
+        return np.stack(derivatives, axis=-1)
 
 
 def check_smooth(model: Model, readings: Iterable[int]) -> None:

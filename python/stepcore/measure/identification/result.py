@@ -130,8 +130,8 @@ class Identification(Result):
     @property
     def setup(self) -> str:
         """The method in one line."""
-        made = f"{self.steps} steps, of which {self.linearised} were linearised"
-        return f"{counted(self.samples, 'measured number')}, {made}. {differing(self.settings)}"
+        steps = f"{self.steps} steps, of which {self.linearised} were linearised"
+        return f"{counted(self.samples, 'measured number')}, {steps}. {differing(self.settings)}"
 
     @property
     def residuals(self) -> dict[str, float]:
@@ -144,8 +144,8 @@ class Identification(Result):
     @property
     def sentences(self) -> list[str]:
         """The quality of the fit, findings on the logs, the estimates and the residuals."""
-        found = [finding.text for finding in self.findings]
-        return [self.fit, *found, *self._estimates(), *self._doubts(), *self._remains()]
+        problems = [finding.text for finding in self.findings]
+        return [self.fit, *problems, *self._estimates(), *self._doubts(), *self._remains()]
 
     @property
     def fit(self) -> str:
@@ -161,17 +161,17 @@ class Identification(Result):
                 f"{counted(self.samples, 'measured number')}."
             )
         worst = self.quality.misfits[label]
-        said = f"{self._amount(label, worst.residual)}, {times(worst.ratio)} the noise"
-        said = f"The fit is bad: {said}"
+        text = f"{self._amount(label, worst.residual)}, {times(worst.ratio)} the noise"
+        text = f"The fit is bad: {text}"
         if verdict == "unexplained":
-            said = "The residual is about as small as the noise, but not random"
+            text = "The residual is about as small as the noise, but not random"
         if lacks is None:
-            return f"{said}."
+            return f"{text}."
         if lacks.share < 0.5:
-            return f"{said}; no single value besides these explains most of it."
+            return f"{text}; no single value besides these explains most of it."
         if is_delay(lacks.label):
-            return f"{said}; it looks as if {shifted(lacks.label, lacks.change)}."
-        return f"{said}; it looks like {lacks.looks} ({in_words(lacks.label)}?)."
+            return f"{text}; it looks as if {shifted(lacks.label, lacks.change)}."
+        return f"{text}; it looks like {lacks.looks} ({in_words(lacks.label)}?)."
 
     def _amount(self, label: str, value: float) -> str:
         """Return a residual with its unit: "0.1 rad at knee"."""
@@ -188,8 +188,8 @@ class Identification(Result):
     def _estimates(self) -> Iterator[str]:
         for path, value in self.values.items():
             low, high = self.intervals[path]
-            known = np.isfinite(high - low)
-            interval = f"95 %: {low:.6g} to {high:.6g}" if known else "no interval"
+            finite = np.isfinite(high - low)
+            interval = f"95 %: {low:.6g} to {high:.6g}" if finite else "no interval"
             if path in self.kept:
                 yield f"{path} was not estimated: {value:.6g} is its first value."
                 continue
@@ -205,9 +205,9 @@ class Identification(Result):
                 if others
                 else f"The logs say nothing of the {last}."
             )
-        told = {path for paths in self.alike for path in paths} | {*self.kept}
+        covered = {path for paths in self.alike for path in paths} | {*self.kept}
         for path in self.unknown:
-            if path not in told:
+            if path not in covered:
                 yield f"The logs say little of {path}: its interval is half of its range or more."
         for path, value in self.values.items():
             if value in self.bounds[path]:
@@ -251,9 +251,9 @@ class Identification(Result):
         if self.quality.verdict in ("bad", "few"):
             return []
         spans = {
-            path: (np.ptp(self.intervals[path]), np.ptp(own)) for path, own in self.bounds.items()
+            path: (np.ptp(self.intervals[path]), np.ptp(ends)) for path, ends in self.bounds.items()
         }
-        return [path for path, (interval, whole) in spans.items() if not interval < whole / 2]
+        return [path for path, (interval, full) in spans.items() if not interval < full / 2]
 
     @property
     def rows(self) -> list[Estimate]:

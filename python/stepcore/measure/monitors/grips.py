@@ -13,7 +13,7 @@ from stepcore.engine.actuator import actuators
 from stepcore.engine.arrays import Floats
 from stepcore.engine.coordinates import rotated
 from stepcore.experiment.change import Change
-from stepcore.experiment.moves import roots
+from stepcore.experiment.moves import driven_roots
 from stepcore.experiment.proposal import Proposal
 from stepcore.measure.monitors.creep import IMPRATIO, STICKS
 from stepcore.measure.monitors.finding import (
@@ -56,7 +56,7 @@ def slips(run: Recording) -> Iterator[Slip]:
     model, things = run.model, _things(run)
     if not things or model.is_heap:
         return
-    drives = roots(model, actuators(model))
+    drives = driven_roots(model, actuators(model))
     sticks = STICKS / math.sqrt(2 if model.settings.cone == "pyramidal" else 1)
     for body in things:
         grip = Grip(run, body, drives)
@@ -83,7 +83,7 @@ def _things(run: Recording) -> list[int]:
     for equality in scene.equalities:
         if equality.active and equality.type in ("connect", "weld"):
             tied |= {int(run.roots[index[id(body)]]) for body in equality.bodies}
-    return sorted(free_bodies(model) - roots(model, actuators(model)) - tied)
+    return sorted(free_bodies(model) - driven_roots(model, actuators(model)) - tied)
 
 
 class Grip:
@@ -186,7 +186,7 @@ def grip_findings(run: Recording) -> Iterator[Finding]:
     def left(other: Recording) -> float:
         """Return how many have left the grip by the time of their recorded fall, or slip."""
         lost = {slip.body for slip in slips(other)}
-        driven = roots(model, actuators(model))
+        driven = driven_roots(model, actuators(model))
         for slip in found:
             times, end = other.times[Grip(other, slip.body, driven).readings], run.times
             kept = (times >= end[slip.last] - other.spacing) & (times <= end[slip.fallen])

@@ -25,7 +25,7 @@ from stepcore.engine.model import Model
 from stepcore.engine.run_settings import converged_settings
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.engine.start import Start
-from stepcore.engine.unsolved import FEWEST as SAMPLES
+from stepcore.engine.unsolved import FEWEST_LOOKS as SAMPLES
 from stepcore.engine.unsolved import Residuals
 from stepcore.executors import checkpoint
 from stepcore.experiment.schedule import Schedule
@@ -193,7 +193,7 @@ class Recording:
 
 def recorded(model: Model, schedule: Schedule) -> Recording:
     """Run a schedule under a model's settings from its first start, and record it."""
-    count, driven = schedule.steps(model.settings.dt), schedule.on(model)
+    count, driven = schedule.steps(model.settings.dt), schedule.driven_model(model)
     if schedule.control is not None:
         how: dict[str, Any] = {"control": schedule.control, "hold": count}
     else:
@@ -208,7 +208,7 @@ def cut(model: Model, schedule: Schedule, ran: Followed | None) -> Recording | N
     if ran is None or ran.failures or count < READINGS / 2 or not set(RECORDED) <= set(ran.data):
         return None
     data = {name: ran[name][0] for name in RECORDED}
-    run = whole(schedule.on(model), ran.times, data, schedule.starts[0].put)
+    run = whole(schedule.driven_model(model), ran.times, data, schedule.starts[0].put)
     return dataclasses.replace(run.part(0, count), model=model)
 
 

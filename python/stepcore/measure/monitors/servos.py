@@ -9,13 +9,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stepcore.engine.actuator import SERVO, Actuator, actuators, loads, passing_stiffness
+from stepcore.engine.actuator import SERVO, Actuator, actuators, hold_load, passing_stiffness
 from stepcore.engine.arrays import Floats
 from stepcore.engine.coordinates import rotated
 from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.experiment.change import Change
-from stepcore.experiment.moves import SINKS, TILT, moves_about, roots
+from stepcore.experiment.moves import SINKS, TILT, driven_roots, moves_about
 from stepcore.experiment.proposal import Proposal
 from stepcore.measure.monitors.finding import (
     DEEP,
@@ -177,7 +177,7 @@ def following(
     if run.late < 0:
         return
     some = np.unique(np.linspace(0, len(run) - 1, FEWEST).astype(int)).tolist()
-    forces = [np.abs([sim.qfrc_constraint, loads(sim)]) for sim in map(run.at, some)]
+    forces = [np.abs([sim.qfrc_constraint, hold_load(sim)]) for sim in map(run.at, some)]
     rows, held = np.median(forces, axis=0)[0], np.max(forces, axis=0)[1]
     joints = Layout(model.scene).joints
     for of in _servos(model):
@@ -323,7 +323,7 @@ def _loaded(run: Recording, of: Actuator, asked: float, force: float) -> bool:
     low, high = model.jnt_range[of.joint]
     if not low <= asked / of.gear <= high:
         return False
-    if float(loads(sim)[of.dof]) / of.gear * force >= HALF * force**2:
+    if float(hold_load(sim)[of.dof]) / of.gear * force >= HALF * force**2:
         return True
     tree = int(run.roots[model.jnt_body[of.joint]])
     if tree not in free_bodies(model):
@@ -430,7 +430,7 @@ def fall_findings(run: Recording) -> Iterator[Finding]:
     model, drives = run.model, actuators(run.model)
     if not any(drive.kind == SERVO for drive in drives) or not moves_about(model, drives):
         return
-    down = {body: _down(run, body) for body in sorted(roots(model, drives))}
+    down = {body: _down(run, body) for body in sorted(driven_roots(model, drives))}
     falls = {body: float(run.times[at.argmax()]) for body, at in down.items() if at.any()}
     if not falls:
         return

@@ -287,7 +287,7 @@ def _full(search: str | None, axes: Mapping[str, Sequence[Any] | None], engine: 
     checks.one_of("frugal", "grid", None)("trade", "search", search)
     values_by_axis = {name: values for name, values in axes.items() if values is not None}
     for name, values in values_by_axis.items():
-        checks.several(name, values)
+        checks.nonempty(name, values)
         for value in values:
             # Check every value now, including values that would never be tried.
             if name == "dts":

@@ -24,7 +24,7 @@ from stepcore.experiment.choose import least
 from stepcore.experiment.horizon import settled_motion
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.outcomes import PILOT, Difference, Numbers, Outcome
-from stepcore.experiment.predictable import settled
+from stepcore.experiment.predictable import converged_growth
 from stepcore.experiment.quantity import Measure, Measures, Quantity
 from stepcore.experiment.schedule import STARTS, time_steps
 from stepcore.experiment.study import SHIPPED, Allowed, Study
@@ -568,7 +568,7 @@ class _Search:
         """Measure when the trajectory from the first start becomes unpredictable."""
         study = self.study
         way = study.engine.ways(study.schedule, 1.0)[0]
-        growth, _ = settled(
+        growth, _ = converged_growth(
             study.engine, (way.at(k) for k in (1, 2)), study.schedule, [0], study.size
         )
         self.predictable = growth.overall

@@ -28,7 +28,7 @@ from stepcore.measure.monitors import Finding
 from stepcore.measure.trade.search import COST, KNOWING, MARGIN, UNSURE, Search
 from stepcore.report.report import SHORT, not_shown
 from stepcore.report.result import Result
-from stepcore.report.settings import differences, solver_words
+from stepcore.report.settings import solver_words, unlabelled
 from stepcore.report.table import Table
 from stepcore.report.units import (
     beginning,
@@ -672,7 +672,7 @@ class Trade(Result):
             mark += "s" * (row.change == SHIPPED)
             mark += "r" * (self.chosen is not None and row.change == self.chosen.change)
             s, here = row.settings, self.times.get(row.change)
-            known = [w for w in differences(s, self.settings) if w not in solver_words(s)]
+            known = [w for w in unlabelled(s, self.settings) if w not in solver_words(s)]
             wrong = (row.error, row.median, float(row.largest.max()))
             errors = ["failed", "", ""] if row.failure else [compact(value) for value in wrong]
             if self.partial(row) and not row.failure:
@@ -772,7 +772,7 @@ class Trade(Result):
         if self.engine != "stepcore" or self.model is None:
             raise ValueError("the motions of MuJoCo's settings are not kept: run them in MuJoCo")
         schedule = self.schedule
-        sim = Sim(schedule.on(change.of(self.model)))
+        sim = Sim(schedule.driven_model(change.of(self.model)))
         schedule.starts[start].put(sim)
         control: Any = schedule.function()
         held = schedule.period

@@ -2,7 +2,7 @@
 
 The load is found by inverse statics. With rigid joints the robot settles on the ground. There the
 contact forces of least norm that balance the base determine the forces of the joints; see
-`stepcore.experiment.moves.resting`.
+`stepcore.experiment.moves.support`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
 from stepcore.experiment.change import Change
-from stepcore.experiment.moves import SHOCK, Moves, Seen, moves_about, resting, roots
+from stepcore.experiment.moves import SHOCK, Moves, Seen, driven_roots, moves_about, support
 from stepcore.measure.tune.goal import ROUNDS, WITHIN, At, Goal
 from stepcore.report.units import seconds
 
@@ -45,7 +45,7 @@ class Ground(NamedTuple):
         sim = Sim(self.model)
         self.end.put(sim)
         sim.forward()
-        return resting(sim, dofs, self.contacts)
+        return support(sim, dofs, self.contacts)
 
     def run(self, change: Change) -> Seen:
         """Run a change of the model on the ground."""
@@ -115,7 +115,7 @@ def _held(model: Model, at: At) -> Moves:
 def held_joints(model: Model) -> tuple[list[int], list[int]]:
     """Return the joints by which robots move about, and the robots' other joints."""
     drives = actuators(model)
-    trees, driven = roots(model, drives), {drive.joint for drive in drives}
+    trees, driven = driven_roots(model, drives), {drive.joint for drive in drives}
     base, others = list[int](), list[int]()
     for joint, body in enumerate(model.jnt_body.tolist()):
         if model.root(body) in trees:

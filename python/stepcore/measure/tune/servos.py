@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from stepcore.deadline import Deadline
-from stepcore.engine.actuator import MOTOR, SERVO, Actuator, actuators, loads, passing_stiffness
+from stepcore.engine.actuator import MOTOR, SERVO, Actuator, actuators, hold_load, passing_stiffness
 from stepcore.engine.follow import follow
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
@@ -199,7 +199,7 @@ class Servos:
         self.spring = np.array([float(np.ravel(one.stiffness)[0]) * sprung for one in own])
         rubs = model.scene.features.constraint and model.scene.features.frictionloss
         self.friction = np.array([joint.frictionloss if rubs else 0.0 for joint in own])
-        self.load = (loads(sim)[dofs] if ground is None else ground.load(dofs)) / self.gear
+        self.load = (hold_load(sim)[dofs] if ground is None else ground.load(dofs)) / self.gear
         self.units = ["m" if joint.type == "slide" else "rad" for joint in own]
 
     def omegas(self, goal: str, asked: np.ndarray) -> np.ndarray:

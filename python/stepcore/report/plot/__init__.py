@@ -24,7 +24,7 @@ MODULES = {
 
 def plot(kind: str, result: Any, path: str | os.PathLike[str] | None) -> Any:
     """Return the Figure of a result, written to `path` if given."""
-    target = None if path is None else files.path("path", path)
+    target = None if path is None else files.as_path("path", path)
     module = importlib.import_module(f"stepcore.report.plot.{MODULES[kind]}")
     figure = getattr(module, kind)(result)
     # Fonts lack control characters, which names may have.

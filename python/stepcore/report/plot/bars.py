@@ -22,7 +22,7 @@ from stepcore.report.plot.style import (
     named_bars,
     new_figure,
     patches,
-    say,
+    write_centred,
 )
 from stepcore.report.units import seconds
 
@@ -128,7 +128,7 @@ def check(check: Check) -> Any:
     figure = new_figure(8.0, 2.0)
     axes = figure.add_subplot()
     frame(axes, check.title)
-    say(axes, "the time step was not diagnosed")
+    write_centred(axes, "the time step was not diagnosed")
     return figure
 
 

@@ -21,8 +21,8 @@ from stepcore.report.plot.style import (
     legend,
     log_ticks,
     new_figure,
-    say,
     stacked,
+    write_centred,
 )
 from stepcore.report.units import joules, seconds
 
@@ -123,7 +123,7 @@ def _panels(run: Trajectory, name: str) -> Iterator[Panel]:
     if not units:
         yield name, UNITS.get(name, name), dict(zip(entries, columns, strict=True))
     for unit in dict.fromkeys(units):
-        lines = {e: c for e, c, own in zip(entries, columns, units, strict=True) if own == unit}
+        lines = {e: c for e, c, u in zip(entries, columns, units, strict=True) if u == unit}
         alone = f"{next(iter(lines))}\n" if len(lines) == 1 < len(columns) else ""
         yield name, f"{alone}{JOINTS[unit]}", lines
 
@@ -137,12 +137,12 @@ def _energy(axes: Any, time: np.ndarray, run: Trajectory) -> None:
 
 def _error(axes: Any, time: np.ndarray, run: Trajectory) -> None:
     rms, largest = np.asarray(run.data["error"], float).T
-    known = np.isfinite(largest)
-    axes.fill_between(time, 0, np.where(known, largest, np.nan), color=BLUE, alpha=0.25, lw=0)
-    axes.plot(time, np.where(known, largest, np.nan), color=BLUE, lw=1.2, label="largest of a body")
-    axes.plot(time, np.where(known, rms, np.nan), color=ORANGE, lw=1.2, label="RMS over bodies")
-    if not known.all():
-        axes.axvspan(time[np.argmin(known)], time[-1], color=GREY, alpha=0.3, label="not known")
+    there = np.isfinite(largest)
+    axes.fill_between(time, 0, np.where(there, largest, np.nan), color=BLUE, alpha=0.25, lw=0)
+    axes.plot(time, np.where(there, largest, np.nan), color=BLUE, lw=1.2, label="largest of a body")
+    axes.plot(time, np.where(there, rms, np.nan), color=ORANGE, lw=1.2, label="RMS over bodies")
+    if not there.all():
+        axes.axvspan(time[np.argmin(there)], time[-1], color=GREY, alpha=0.3, label="not known")
     axes.set_ylim(bottom=0)
 
 
@@ -214,10 +214,10 @@ def postmortem(result: PostMortem) -> Any:
 
 def _heading(result: PostMortem) -> str:
     happened = result.replay.happened
-    what = "faster than anything moves" if happened["finite"] else "not finite after this step"
-    what = "more energy than is possible" if happened["gained"] else what
-    of = f"{result.replay.name}: " if result.replay.name else ""
-    return f"{of}step {happened['step']}, {happened['time']:.6g} s: {what}"
+    problem = "faster than anything moves" if happened["finite"] else "not finite after this step"
+    problem = "more energy than is possible" if happened["gained"] else problem
+    prefix = f"{result.replay.name}: " if result.replay.name else ""
+    return f"{prefix}step {happened['step']}, {happened['time']:.6g} s: {problem}"
 
 
 def _label(result: PostMortem, name: str) -> str:
@@ -283,7 +283,7 @@ def convergence(result: Convergence) -> Any:
     if solved.error > 0 and not solved.failure:
         axes.axhline(solved.error, color="black", lw=1.2, ls="--", label="converged forces")
     if not axes.lines:
-        say(axes, "all of these runs fail")
+        write_centred(axes, "all of these runs fail")
         return figure
     axes.set_xscale("log")
     axes.set_yscale("log")

@@ -18,9 +18,9 @@ def identification(result: Identification) -> Any:
     A panel shows one quantity; if there are many, the ones with the largest relative residuals.
     """
     worst = max(result.curves, key=_share)
-    own = [curve for curve in result.curves if curve.log == worst.log]
-    kept = sorted(range(len(own)), key=lambda k: -_share(own[k]))[:8]
-    drawn = [own[k] for k in sorted(kept)]
+    curves = [curve for curve in result.curves if curve.log == worst.log]
+    kept = sorted(range(len(curves)), key=lambda k: -_share(curves[k]))[:8]
+    drawn = [curves[k] for k in sorted(kept)]
     figure, panels = stacked(len(drawn))
     for axes, curve in zip(panels, drawn, strict=True):
         axes.plot(curve.time, curve.before, color=GREY, lw=1.0, ls=":")
@@ -34,7 +34,7 @@ def identification(result: Identification) -> Any:
         name, word, unit = result.named(curve.quantity)
         frame(axes, y=f"{name}\n{word} [{unit}]" if unit else f"{name}\n{word}")
     log = f", logs[{worst.log}]" if result.logs > 1 else ""
-    more = f", {len(drawn)} of {len(own)} quantities" if len(drawn) < len(own) else ""
+    more = f", {len(drawn)} of {len(curves)} quantities" if len(drawn) < len(curves) else ""
     frame(panels[0], f"{result.title}{log}{more}")
     frame(panels[-1], x="time [s]")
     entries = [

@@ -50,7 +50,7 @@ def outcomes(result: Outcomes) -> Any:
             share = np.arange(1, len(numbers) + 1) / len(numbers)
             right.step(numbers, share, where="post", color=colour, lw=1.3)
     frame(right, "", f"{name}{unit}", "share of runs with at most this")
-    entries = [line(one, marker="o", color=colour, ls="none") for one, colour in used.items()]
-    entries += [line(one, color=colour, lw=1.3) for one, (_, colour) in drawn.items()]
+    entries = [line(text, marker="o", color=colour, ls="none") for text, colour in used.items()]
+    entries += [line(text, color=colour, lw=1.3) for text, (_, colour) in drawn.items()]
     legend(figure, entries)
     return figure

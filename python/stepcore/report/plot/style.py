@@ -238,6 +238,6 @@ def legend(figure: Any, entries: Sequence[Any] | None = None, columns: int = 0) 
     figure.legend(fontsize=FONT["text"], frameon=False, **place)
 
 
-def say(axes: Any, text: str) -> None:
+def write_centred(axes: Any, text: str) -> None:
     """Write a text in the middle of otherwise empty axes."""
     axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", color=GREY)

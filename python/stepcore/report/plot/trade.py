@@ -146,7 +146,7 @@ def _rings(axes: Any, trade: Trade, good: Sequence[Trial], top: float) -> None:
     for words, row in marked:
         settings = label(row.settings, sweeps=row is chosen).replace(", dt", ",\ndt")
         at = (_cost(trade, row), min(row.error, top))
-        if row.change in [one.change for one in good]:
+        if row.change in [trial.change for trial in good]:
             axes.plot(*at, "o", ms=15, mfc="none", mec="black", mew=1.6, zorder=5)
         if math.isfinite(at[0]):
             texts.append((at, f"{words}\n{settings}"))

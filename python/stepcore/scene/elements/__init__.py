@@ -7,7 +7,7 @@ MuJoCo's. Elements compare by identity.
 """
 
 from stepcore.scene.element import Element as Element
-from stepcore.scene.element import made as made
+from stepcore.scene.element import make_element as make_element
 from stepcore.scene.elements.actuator import Actuator as Actuator
 from stepcore.scene.elements.body import Body as Body
 from stepcore.scene.elements.body import Joint as Joint

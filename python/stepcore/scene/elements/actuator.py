@@ -40,7 +40,7 @@ TARGET_FIELDS = (*TARGETS, *SECOND, "cranklength", "feeds")
 def _one_or(count: int) -> checks.Check:
 
     def check(owner: Any, field: str, value: object) -> Any:
-        if checks.listed(value) is None:
+        if checks.as_list(value) is None:
             return checks.real()(owner, field, value)
         return checks.vector(count, fill=(0.0,) * count)(owner, field, value)
 
@@ -307,7 +307,7 @@ class Actuator(Element):
         gear = list(owner.gear)
         if axis is not None:
             gear = [float(k == axis) for k in range(3)] + list(ORIGIN)
-        # A placeholder for muscles without a range: `length_ranges.fill` replaces it.
+        # A placeholder for muscles without a range: `length_ranges.fill_ranges` replaces it.
         lengthrange = self.lengthrange or (0.0, 1.0 if law.is_muscle else 0.0)
         bounds = owner if axis is not None else self
         field, element = self.target

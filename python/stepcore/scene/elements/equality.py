@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 from stepcore import checks
-from stepcore.scene.element import Element, Places, table
+from stepcore.scene.element import Element, Places, field_rows
 from stepcore.scene.elements import field_types as of
 from stepcore.scene.elements.body import Body, Joint, Site, SomeBody, SomeJoint, SomeSite
 from stepcore.scene.elements.geom import Geom
@@ -97,9 +97,9 @@ class Equality(Element):
 
     def given(self) -> dict[str, Any]:
         """Return the fields of the ends and the polynomial that differ from their defaults."""
-        rows = (row for row in table(Equality).values() if row.name not in _COMMON)
+        rows = (row for row in field_rows(Equality).values() if row.name not in _COMMON)
         values = {row.name: getattr(self, row.name) for row in rows}
-        return {f: value for f, value in values.items() if value != table(Equality)[f].default}
+        return {f: value for f, value in values.items() if value != field_rows(Equality)[f].default}
 
     def check(self, places: Places) -> None:
         """Raise ElementError unless the given fields are those that the type needs."""

@@ -21,7 +21,7 @@ SOLREF: Vec = (0.02, 1.0)
 SOLIMP: Vec = (0.9, 0.95, 0.001, 0.5, 2.0)
 FRICTION: Vec = (1.0, 0.005, 0.0001)
 PAIR_FRICTION: Vec = (1.0, 1.0, 0.005, 0.0001, 0.0001)
-STILL: Vec = (0.0,) * 6
+ZERO_VELOCITY: Vec = (0.0,) * 6
 FLUIDCOEF: Vec = (0.5, 0.25, 1.5, 1.0, 1.0)
 POLYCOEF: Vec = (0.0, 1.0, 0.0, 0.0, 0.0)
 GEAR: Vec = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -64,10 +64,10 @@ def element(*kinds: str) -> FieldType:
     return FieldType(checks.element(*kinds), "", "", refers=kinds)
 
 
-def optional(held: FieldType) -> FieldType:
+def optional(inner: FieldType) -> FieldType:
     """Return the type that also allows None."""
-    given = held.given and f"{held.given} | None"
-    return replace(held, check=checks.optional(held.check), given=given)
+    annotation = inner.annotation and f"{inner.annotation} | None"
+    return replace(inner, check=checks.optional(inner.check), annotation=annotation)
 
 
 Text = Annotated[str, FieldType(checks.text, "str", "")]
@@ -99,7 +99,7 @@ Size = Annotated[Vec, vector(3, low=0, fill=(0.0, 0.0, 0.0))]
 Friction = Annotated[Vec, vector(3, low=0, fill=FRICTION)]
 PairFriction = Annotated[Vec, vector(5, low=0, fill=PAIR_FRICTION)]
 Gear = Annotated[Vec, vector(6, fill=GEAR)]
-SurfaceVel = Annotated[Vec, vector(6, fill=STILL)]
+SurfaceVel = Annotated[Vec, vector(6, fill=ZERO_VELOCITY)]
 FluidCoef = Annotated[Vec, vector(5, fill=FLUIDCOEF)]
 # In MJCF the two numbers count only if both are positive.
 SpringDamper = Annotated[

@@ -44,7 +44,7 @@ class Asset(Element):
 
 Vertices = Annotated[NDArray[Any], FieldType(checks.table(3), "ArrayLike")]
 Faces = Annotated[
-    NDArray[Any] | None, of.optional(FieldType(checks.table(3, whole=True), "ArrayLike"))
+    NDArray[Any] | None, of.optional(FieldType(checks.table(3, indices=True), "ArrayLike"))
 ]
 HullVertices = Annotated[int, FieldType(checks.most_vertices, "int", "int")]
 FilePath = Annotated[str, FieldType(checks.text, "str | os.PathLike[str]", "")]
@@ -196,7 +196,7 @@ class Geom(Element):
     friction: Annotated[of.Friction, "1, m and m"] = of.FRICTION
     margin: Annotated[of.Real, "m"] = 0.0
     gap: Annotated[of.NonNegative, "m"] = 0.0
-    surfacevel: Annotated[of.SurfaceVel, "m/s and rad/s"] = of.STILL
+    surfacevel: Annotated[of.SurfaceVel, "m/s and rad/s"] = of.ZERO_VELOCITY
     adhesion: Annotated[of.NonNegative, "N"] = 0.0
     solmix: of.NonNegative = 1.0
     solref: of.SolRef = of.SOLREF

@@ -78,10 +78,10 @@ RAY_DATA = ("dist", "dir", "origin", "point", "normal", "depth")
 
 
 def _words(owner: object, field: str, value: object) -> tuple[str, ...]:
-    words = value.split() if isinstance(value, str) else checks.listed(value)
-    known = dict.fromkeys((*CONTACT_DATA, *RAY_DATA))
-    if words is None or not all(isinstance(word, str) and word in known for word in words):
-        raise checks.refuse(owner, field, value, f"words of {', '.join(known)}")
+    words = value.split() if isinstance(value, str) else checks.as_list(value)
+    allowed = dict.fromkeys((*CONTACT_DATA, *RAY_DATA))
+    if words is None or not all(isinstance(word, str) and word in allowed for word in words):
+        raise checks.refuse(owner, field, value, f"words of {', '.join(allowed)}")
     return tuple(words)
 
 

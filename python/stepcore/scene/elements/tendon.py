@@ -54,7 +54,7 @@ class Path(tuple[Stop, ...]):
         return bool(self) and isinstance(self[0], Share)
 
 
-def path(owner: Any, field: str, value: object) -> Path:
+def tendon_path(owner: Any, field: str, value: object) -> Path:
     """Return the path of joints with coefficients, or of sites, geoms and pulleys."""
     stops = value if isinstance(value, (list, tuple)) else None
     if stops is None:
@@ -121,7 +121,7 @@ class Tendon(Element):
     """
 
     name: of.Text = ""
-    path: Annotated[Path, FieldType(path, "Iterable[Any]", refers=("Joint", "Site", "Geom"))]
+    path: Annotated[Path, FieldType(tendon_path, "Iterable[Any]", refers=("Joint", "Site", "Geom"))]
     range: Annotated[of.Range, "m"] = None
     margin: Annotated[of.Real, "m"] = 0.0
     springlength: Annotated[SpringLength, "m"] = (-1.0, -1.0)
@@ -155,7 +155,7 @@ class Tendon(Element):
     def elements(self) -> Iterable[Joint | Site | Geom]:
         """Yield the joints, sites and geoms that the tendon refers to."""
         for stop in self.path:
-            ends = parts(stop).values()
+            ends = stop_parts(stop).values()
             yield from (end for end in ends if isinstance(end, (Joint, Site, Geom)))
 
     def check(self, places: Places) -> None:
@@ -213,14 +213,14 @@ class Tendon(Element):
                 ENGINE_NAMES.get(name, name): (
                     place_of(places, part) if isinstance(part, Element) else part
                 )
-                for name, part in parts(stop).items()
+                for name, part in stop_parts(stop).items()
             }
             for stop in self.path
         ]
         return self.record("path") | {"path": stops}
 
 
-def parts(stop: Stop) -> dict[str, Any]:
+def stop_parts(stop: Stop) -> dict[str, Any]:
     """Return the parts of a stop by their names in MJCF."""
     return {"site": stop} if isinstance(stop, Site) else stop._asdict()
 
