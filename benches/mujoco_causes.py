@@ -47,7 +47,7 @@ NORMALS = (
     "it keeps in single precision"
 )
 AXES = "axes of meshes with equal principal moments"
-CONTACTS = "other contacts; the oracle says who is right"
+CONTACTS = "other contacts; the oracle decides"
 # Relative differences that follow from a normal that is off by 1e-6.
 OF_NORMALS = {"contacts": 1e-5, "constraint": 1e-4, "qacc": 1e-4, "sensordata": 1e-5}
 SMALL = 1e-6

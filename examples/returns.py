@@ -1,4 +1,4 @@
-"""Returns of tasks as quantities, for `stepcore outcomes … --quantity examples/returns.py:NAME`."""
+"""Returns of tasks as quantities, for `stepcore trade … --quantity examples/returns.py:NAME`."""
 
 import numpy as np
 

@@ -217,3 +217,17 @@ def test_action_fails_for_a_finding(tmp_path, outside):
         words = [*shlex.split(hook["entry"]), str(file)]
         assert subprocess.run(words, env=env).returncode == status
     assert len(list((tmp_path / "sarif").iterdir())) == 2
+
+
+@pytest.mark.parametrize(("limit", "status"), [("1deg", 0), ("1e-9deg", 3)])
+def test_trade_has_status_of_a_mean(capsys, limit, status):
+    args = ("trade", "gymnasium:inverted_pendulum", "--quantity", "max(joint/hinge)")
+    more = ("--horizon", 0.2, "--starts", 64, "--most", 64)
+    assert call(*args, *more, "--max-error", limit) == status
+
+
+def test_max_error_takes_one_quantity(capsys):
+    args = ("trade", "lesson:spring", "--quantity", "energy", "--quantity", "joint/spring")
+    more = ("--error", "1J", "--error", "1m", "--horizon", 0.1, "--starts", 1, "--further", 0)
+    assert call(*args, *more, "--max-error", "1m") == 2
+    assert "takes one quantity" in capsys.readouterr().err

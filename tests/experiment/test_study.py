@@ -1,6 +1,8 @@
 """A `Study` separates errors of steps from effects of a model: compared with plain loops."""
 
+import dataclasses
 import json
+import math
 import re
 from pathlib import Path
 
@@ -208,3 +210,13 @@ def test_a_question_of_a_user_has_an_answer_like_a_measurement(tmp_path: Path) -
 def test_a_single_run_fails_in_no_world() -> None:
     study = Study(lesson.spring(k=1e10, dt=1e-3, integrator="explicit"), horizon=0.04, starts=2)
     assert "world" not in study.tracks([Change()], [0, 1])[0].failure
+
+
+def test_effort_for_a_start_of_unlimited_uncertainty_is_unknown():
+    """Its last rungs failed, so that the uncertainty and its gain are infinite."""
+    study = Study(lesson.spring(), horizon=0.2, starts=1)
+    study.run(Change())
+    converging = study._truths[Change()]
+    lost = dataclasses.replace(converging.known[0], moved=math.inf, gain=math.inf)
+    converging.known[0] = lost
+    assert math.isinf(lost.unsure) and math.isinf(converging._needs([0], 1e-6))

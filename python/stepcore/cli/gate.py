@@ -103,6 +103,10 @@ def _verdict(result: Any, args: argparse.Namespace, accepted: set[tuple[str, str
         verdict = never if args.fail_on == "never" else result.verdict()
     elif args.command == "compare":
         verdict = result.verdict(args.max_difference)
+    elif result.measure.parts:
+        raise Usage(f"--max-error {args.max_error}: takes one quantity")
+    elif result.kind == "outcomes":
+        verdict = result.verdict(args.max_error)
     else:
         source = args.file if result.model is None else result.model
         quantity = result.measure.quantity

@@ -139,7 +139,7 @@ def call(args: argparse.Namespace, name: str) -> Result:
     if name in SECONDS:
         given["seconds"] = args.seconds
     if getattr(args, "max_error", None) is not None and given["budget"] is None:
-        given["error"] = given["error"] or args.max_error
+        given["error"] = given["error"] or [args.max_error]
     for option in ("quantity", "error"):
         values = given.get(option)
         if isinstance(values, list) and len(values) == 1:

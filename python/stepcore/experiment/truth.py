@@ -250,7 +250,8 @@ class Converging:
                 if own.gain * STALLED <= 1.0:
                     return math.inf
                 rungs = math.log(own.unsure / goal) / math.log(own.gain)
-                if own.rung + rungs > RUNGS:
+                # Both may be infinite, for a start whose last rungs failed.
+                if not own.rung + rungs <= RUNGS:
                     return math.inf
                 last = own.rung + math.ceil(rungs)
                 needs += sum(self.study.price(self.at(k), 1) for k in range(own.rung + 1, last + 1))

@@ -33,6 +33,7 @@ from stepcore.report.result import Result
 from stepcore.report.settings import label, solver_words
 from stepcore.report.table import Table
 from stepcore.report.units import counted, percent, round_number, seconds
+from stepcore.report.verdict import Verdict
 
 # The default number of starts, and the most.
 RUNS, MOST = 256, 4096
@@ -114,6 +115,23 @@ class Outcomes(Result):
         if self.chosen is None:
             raise ValueError(f"no setting was shown to stay within {self.words(self.error)}")
         return self.chosen.settings
+
+    def verdict(self, limit: float | str) -> Verdict:
+        """Return whether the shipped settings change the mean by at most a limit.
+
+        limit: a number, or a text in the unit of the quantity. The whole 95 % interval must be
+        within it; the test fails if the whole interval is outside, and is else undecided.
+        """
+        allowed = self.measure.parse("verdict", "limit", limit, math.nan)
+        test = f"{self._means} changed by at most {self.words(allowed)}"
+        difference, failed = self.shipped.difference, self.shipped.failed
+        reason = f"{self._plus_minus(difference)} (95 %) over {counted(self.starts, 'start')}"
+        if failed or difference.outside(allowed):
+            lost = f"; {counted(failed, 'run')} failed" if failed else ""
+            return Verdict(test, False, reason + lost)
+        passed = difference.within(allowed) and self.agreed
+        needed = f", about {round_number(max(self.needed, 1.0), up=True):.0f} starts decide it"
+        return Verdict(test, True if passed else None, reason + ("" if passed else needed))
 
     def words(self, value: float) -> str:
         """Format a number in the unit of the quantity."""
