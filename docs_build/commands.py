@@ -14,6 +14,7 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
+from stepcore.cli.gate import TESTS
 from stepcore.cli.measurements import SECONDS
 
 ROOT = Path(__file__).parents[1]
@@ -47,8 +48,8 @@ def printed(command: str, root: Path) -> str:
     done = subprocess.run(
         arguments, cwd=root, env=environment, capture_output=True, text=True, check=False
     )
-    # `check` exits with 1 at an error, and with 3 if it is undecided.
-    if done.returncode not in ((0, 1, 3) if "check" in arguments else (0,)):
+    # These exit with 1 if a test fails, and with 3 if it is undecided.
+    if done.returncode not in ((0, 1, 3) if arguments[3] in TESTS else (0,)):
         raise RuntimeError(f"{command}: {done.stderr or done.stdout}")
     return done.stdout
 

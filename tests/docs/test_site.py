@@ -12,7 +12,7 @@ import links
 import photograph
 
 import stepcore as sc
-from stepcore import gymnasium, jax, torch
+from stepcore import gymnasium, jax, testing, torch
 from stepcore.gymnasium import adapters
 from stepcore.viewing.frames import rms_distance
 
@@ -21,14 +21,14 @@ DOCS = ROOT / "docs"
 API = "\n".join(path.read_text(encoding="utf-8") for path in (DOCS / "api").glob("*.md"))
 DOCUMENTED = re.findall(r"^::: stepcore\.([\w.]+)$", API, re.MULTILINE)
 # What types a part of a result, and what questions are written with, stands under its module.
-PARTS = re.compile(r"(engine|experiment|measure|scene)\.")
+PARTS = re.compile(r"(engine|experiment|measure|report|scene)\.")
 # Pages that the build makes.
 MADE = {"index.md", "adding.md", "benchmarks.md", "changelog.md", "contributing.md"}
 
 
 def test_every_public_name_is_in_the_reference_once():
-    public = set(sc.__all__) - {"__version__", "lesson"}
-    for module in (gymnasium, adapters, jax, torch):
+    public = set(sc.__all__) - {"__version__", "lesson", "testing"}
+    for module in (gymnasium, adapters, jax, testing, torch):
         public |= {f"{module.__name__.removeprefix('stepcore.')}.{name}" for name in module.__all__}
     assert sorted(name for name in DOCUMENTED if not PARTS.match(name)) == sorted(
         public | {"lesson", "lesson.loop"}

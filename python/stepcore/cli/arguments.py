@@ -29,7 +29,7 @@ from stepcore.experiment.motion import INTERPOLATIONS, Motion
 from stepcore.experiment.policy import ENDINGS as ENDINGS_OF_POLICIES
 from stepcore.experiment.policy import Policy
 from stepcore.loading import find_scene, load
-from stepcore.report.units import counted, frequency_of, parse_length, time_of
+from stepcore.report.units import counted, frequency_of, length_of, time_of
 
 # A line of a docstring that begins the description of arguments: "dts [s], values: the axes".
 ARGUMENT = re.compile(r"(\w+(?: \[\w+\])?(?:, \w+(?: \[\w+\])?)*): (.*)")
@@ -66,7 +66,7 @@ def _read(parse: Callable[[str], float | None], limit: str) -> Callable[[str], f
 
 # A time [s], a length [m] and a frequency [Hz] on the command line.
 time = _read(time_of, "a time: seconds, 1ms or 20us")
-length = _read(parse_length, "a length: metres, 1mm or 2cm")
+length = _read(length_of, "a length: metres, 1mm or 2cm")
 frequency = _read(frequency_of, "a frequency: hertz, 8Hz or 1.2kHz")
 
 TYPES = {"int": int, "float": float, "float | None": float}

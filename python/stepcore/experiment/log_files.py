@@ -245,7 +245,7 @@ def parse_number(cell: Any) -> float:
 
     Raises ValueError for other texts.
 
-    >>> number(" 1.5"), number("2,5e3"), number("n/a")
+    >>> parse_number(" 1.5"), parse_number("2,5e3"), parse_number("n/a")
     (1.5, 2500.0, nan)
     """
     if cell is None:

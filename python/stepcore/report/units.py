@@ -164,7 +164,7 @@ def time_of(text: str) -> float | None:
     return _in_units(text, TIMES)
 
 
-def parse_length(text: str) -> float | None:
+def length_of(text: str) -> float | None:
     """Parse a length [m] such as "0.01" or "1cm"; return None for other text."""
     return _in_units(text, (*LENGTHS, CENTIMETRES))
 
